@@ -59,7 +59,7 @@ async function press(page, how = () => page.keyboard.down("Escape"), then = () =
   return stops[0] - begun;
 }
 
-/** That the stop has come by another peer than the page's: not over its link, whenever that goes on. How long it takes is for `npm run press` to say, on a machine with nothing else to do. */
+/** That the stop has come by another peer than the page's: not over its link, whenever that goes on. */
 async function goesAround(page) {
   // Nothing can be loaded while the link is frozen.
   const [me] = (await page.locator("mom-console .user .cut").innerText()).split(",");
@@ -80,9 +80,8 @@ test("a mouse that is pressed on STOP and leaves it has stopped; one press is on
   await press(page, () => button(page).click(), () => undefined);
   await button(page).dblclick({ trial: true });
   const { number } = await robot.client.stops(PATH);
-  const wasMissed = await page.evaluate(async () => (await import("/panels.js")).hubOf().order.missed);
-  // The next number after that of the press before: nothing was stopped in between, nor twice, unless the link was too slow and the stop went by another way as well.
-  assert.ok(wasMissed || number === before.number + 1, `${before.number}, then ${number}`);
+  // The next number after that of the press before: nothing was stopped in between, nor twice.
+  assert.equal(number, before.number + 1);
 });
 
 test("a finger that slides off STOP has stopped", async (t) => {
@@ -194,8 +193,9 @@ test("a stop goes around a link that is frozen", async (t) => {
   const page = await drive(t);
   await moves(page).getByText("connected").waitFor();
   hub.relay.freeze();
-  await press(page);
+  const took = await press(page);
   await goesAround(page);
+  assert.ok(took < 1000, `${took} ms`);
   hub.relay.thaw();
   await page.locator("mom-stop .report").getByText(/stands, measured, after/).waitFor();
 });
@@ -208,8 +208,9 @@ test("a stop goes around a link that is frozen for who has logged in by a key, t
   await page.getByRole("button", { name: "Log in" }).click();
   await moves(page).getByText("connected").waitFor();
   hub.relay.freeze();
-  await press(page);
+  const took = await press(page);
   await goesAround(page);
+  assert.ok(took < 1000, `${took} ms`);
   hub.relay.thaw();
 });
 
@@ -222,8 +223,8 @@ test("a stop goes around the link's own attempts, which hang", async (t) => {
   await until(page, () => hub.relay.hangs > 0);
   hub.relay.frozen = false;
   const took = await press(page);
-  // What hangs has ten seconds. Over which connection it comes is open: the link may try anew as well.
-  assert.ok(took < 5000, `${took} ms`);
+  // What hangs has ten seconds.
+  assert.ok(took < 1000, `${took} ms`);
   hub.relay.thaw();
 });
 
@@ -235,7 +236,7 @@ test("a stop gets out as soon as the network does, though all that was tried bef
   await until(page, () => hub.relay.hangs > 1);
   hub.relay.frozen = false;
   const took = await press(page, () => undefined, () => undefined);
-  assert.ok(took < 5000, `${took} ms`);
+  assert.ok(took < 1500, `${took} ms`);
   await page.locator("mom-stop .report").getByText(/stands, measured, after/).waitFor();
   hub.relay.thaw();
 });
@@ -250,7 +251,7 @@ test("a stop gets through where the page itself fills a narrow uplink", async (t
   await until(page, () => hub.relay.waits);
   const took = await press(page);
   // What waits takes 50 s.
-  assert.ok(took < 10_000, `${took} ms`);
+  assert.ok(took < 1000, `${took} ms`);
   hub.relay.uplink = Infinity;
 });
 

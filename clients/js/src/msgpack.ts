@@ -162,7 +162,7 @@ export class Unpacker {
   #deeper(count: number, depth: number): void {
     if (depth === 0) throw local("too-deep", `lists and maps nest at most ${MOST_DEPTH} deep`);
     // Each has a byte at least: nobody makes this client reserve memory by a number alone.
-    if (count > this.reader.left) throw local("bad-content", `${count} values are announced, and ${this.reader.left} bytes are there`);
+    if (count > this.reader.left) throw local("bad-content", `${count} values are announced, ${this.reader.left} bytes are there`);
   }
 
   #list(count: number, depth: number): Value {

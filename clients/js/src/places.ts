@@ -50,7 +50,7 @@ export function wayTo(path: string): string[] {
 export class Places {
   readonly #all = new Map<string, Place>();
   /** What was heard of stops, also in channels that are gone: a hub that began anew without one knows no stop there. */
-  readonly #latches = new Map<string, Latch>();
+  readonly #latches: Record<string, Latch> = {};
 
   get(path: string): Place | undefined {
     return this.#all.get(path);
@@ -62,9 +62,7 @@ export class Places {
   }
 
   add(path: string, terms: Fields | undefined): Place {
-    const latch = this.#latches.get(path) ?? new Latch();
-    const place: Place = { path, terms, joined: Promise.resolve({}), kind: "", delivery: "reliable", guard: null, latch };
-    this.#latches.set(path, latch);
+    const place: Place = { path, terms, joined: Promise.resolve({}), kind: "", delivery: "reliable", guard: null, latch: (this.#latches[path] ??= new Latch()) };
     this.#all.set(path, place);
     return place;
   }

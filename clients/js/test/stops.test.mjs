@@ -161,3 +161,20 @@ test("a halt of the hub tells which token guards the channel from now on; nobody
   says("hub", {});
   await eventually(() => arm.guard === null);
 });
+
+test("a device says what it has heard of stops when its channel is back", async (t) => {
+  const hub = await FakeHub.start();
+  t.after(() => hub.stop());
+  const alice = await connect(hub.url, { guest: true, webSocket: WebSocket });
+  t.after(() => alice.close());
+  const events = (await alice.channel("/robot/arm", { device: true })).events();
+  const [connection] = hub.connections;
+  connection.say({ family: "message", name: "stop", context: "/robot/arm", extra: { stop: 7 } });
+  await until(events, ({ name }) => name === "stop");
+  // As where a hub began anew, and knows no stop.
+  connection.say({ family: "event", name: "deleted", context: "/robot/arm", content: {} });
+  await until(events, ({ type }) => type === "deleted");
+  await alice.channel("/robot/arm", { device: true });
+  const joins = hub.heard.filter(({ name, context }) => name === "join" && context === "/robot/arm");
+  assert.deepEqual(joins.at(-1).content.device, { stop: 7, stopped: true });
+});

@@ -195,7 +195,7 @@ impl World {
             number: latch.newest,
             guarded: guard.is_some(),
             devices: BTreeMap::from([(Arc::clone(&name), Word::Silent)]),
-            // That is told by who was asked to keep it.
+            // Its record was asked for when the channel was told, and is not waited for again.
             kept: if self.settings.keeps_stops {
                 Kept::Yes
             } else {

@@ -73,7 +73,7 @@ pub enum QueueEvent {
     Finished(Progress),
     /// It ended before.
     Failed(Progress, DeviceError),
-    /// The state changed: every [`Machine::PERIOD`] while the device moves, and at rest at the end of each command.
+    /// The state changed: every [`Machine::PERIOD`](crate::Machine::PERIOD) while the device moves, and at rest at the end of each command.
     State(State),
 }
 

@@ -145,7 +145,7 @@ impl Rest {
             .filter(|first| sample.is_near(first, self.tolerance))
         {
             Some(first) if sample.at.saturating_sub(first.until) >= REST => {
-                self.known = Some(AtRest::Measured)
+                self.known = Some(AtRest::Measured);
             }
             // It is not known yet, or was before it stopped to measure.
             Some(_) => self.known = self.known.filter(|known| *known == AtRest::Measured),

@@ -61,7 +61,6 @@ pub async fn run(
     let mut robots = JoinSet::new();
     for line in lines {
         let machine = Mirror::new(line.robot.clone(), line.chassis, line.unit());
-        let machine = machine.with_clock(move || time_since(begin));
         let site = RobotSite {
             client: client.clone(),
             line,

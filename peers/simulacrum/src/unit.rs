@@ -1,7 +1,5 @@
 //! A mirrored robot as a machine of the hub: its owner commands it in the terms of its model.
 
-use std::sync::Arc;
-
 use mom_client::Map;
 use mom_device::{Attachments, DeviceError, DeviceTime, ErrorName, Machine, Sample, Script, Word, Words};
 use mom_rover::Rover;
@@ -28,8 +26,6 @@ use stop::Stop;
 
 /// Odometry is in whole mm and degrees.
 const TOLERANCE: f64 = 2.0;
-/// A statement that begins or ends more µs late than this is given up: the program stood still, and the robot did not wait for it.
-const PATIENCE: DeviceTime = HOLD;
 /// µs that a statement waits for the robot to confirm its last stop.
 const UNCONFIRMED: DeviceTime = 2_000_000;
 /// µs between two looks at what comes without a notice.
@@ -53,8 +49,6 @@ pub struct Mirror {
     is_set: bool,
     stop: Stop,
     moved: Moved,
-    /// What time it is by the program's clock; none where time passes only as it is told.
-    clock: Option<Clock>,
     failure: Option<DeviceError>,
 }
 
@@ -75,16 +69,6 @@ enum Doing {
     Runs(DeviceTime),
     /// It begins when the robot has confirmed its last stop; it has waited since then.
     Waits(Action, DeviceTime),
-}
-
-/// The clock of the program.
-#[derive(Clone)]
-struct Clock(Arc<dyn Fn() -> DeviceTime + Send + Sync>);
-
-impl std::fmt::Debug for Clock {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Clock")
-    }
 }
 
 impl std::fmt::Debug for Simulacrum {
@@ -113,18 +97,10 @@ impl Mirror {
             is_set: false,
             stop: Stop::default(),
             moved: Moved::default(),
-            clock: None,
             failure: None,
         };
         mirror.begin_session();
         mirror
-    }
-
-    /// The same with the clock of its program: a statement that should have begun or ended long ago is given up.
-    #[must_use]
-    pub fn with_clock(mut self, clock: impl Fn() -> DeviceTime + Send + Sync + 'static) -> Self {
-        self.clock = Some(Clock(Arc::new(clock)));
-        self
     }
 
     /// The same robot without what it was doing, for another channel; this one has to be left alone.
@@ -140,7 +116,6 @@ impl Mirror {
             is_set: self.is_set,
             stop: self.stop.clone(),
             moved: self.moved.clone(),
-            clock: self.clock.clone(),
             failure: None,
         }
     }
@@ -300,22 +275,6 @@ impl Mirror {
         self.failure.get_or_insert(error);
     }
 
-    /// How late `at` is now by the program's clock, if that is more than can be made up for.
-    fn is_late(&self, at: DeviceTime) -> Option<DeviceTime> {
-        let clock = self.clock.as_ref()?;
-        let late = (clock.0)().saturating_sub(at);
-        (late > PATIENCE).then_some(late)
-    }
-
-    fn stood_still(&self, late: DeviceTime) -> DeviceError {
-        let text = format!(
-            "{} was halted: the program that thinks for it stood still for {} ms, and it does not move on for longer than its watchdog lets it",
-            self.robot.name(),
-            late / 1000
-        );
-        DeviceError::new(ErrorName::Halted, text)
-    }
-
     fn refused(&self, refused: Refused) -> DeviceError {
         let text = format!("{} does not take it: {refused}", self.robot.name());
         DeviceError::new(ErrorName::Link, text)
@@ -399,6 +358,8 @@ impl Machine for Mirror {
     const NAME: &str = "the robot";
     const VERBS: &[&str] = Action::VERBS;
     const PERIOD: DeviceTime = 100_000;
+    // As its wheels; the robot's watchdog does not wait for longer.
+    const PATIENCE: DeviceTime = HOLD;
     const TOLERANCE: f64 = TOLERANCE;
 
     fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Action, DeviceError>> {
@@ -432,10 +393,6 @@ impl Machine for Mirror {
 
     fn begin(&mut self, action: &Action, now: DeviceTime) -> Result<(), DeviceError> {
         self.now = now;
-        if let Some(late) = self.is_late(now) {
-            self.stand();
-            return Err(self.stood_still(late));
-        }
         if let Doing::Set(_, places) = std::mem::replace(&mut self.doing, Doing::Nothing) {
             self.end_set(&places, action);
         }
@@ -449,9 +406,7 @@ impl Machine for Mirror {
     fn done_at(&self) -> Option<DeviceTime> {
         match &self.doing {
             Doing::Drives => self.rover.as_ref().and_then(Machine::done_at),
-            Doing::Done(at) => Some(*at),
-            // What the robot did of it while the program stood still is not known.
-            Doing::Set(at, _) | Doing::Runs(at) => Some(*at).filter(|at| self.is_late(*at).is_none()),
+            Doing::Done(at) | Doing::Set(at, _) | Doing::Runs(at) => Some(*at),
             Doing::Nothing | Doing::Arrives(_) | Doing::Command(..) | Doing::Waits(..) => None,
         }
     }

@@ -1,8 +1,6 @@
 //! Stops of a mirrored robot, by what its body does: middle and robot in virtual time, and between them a network that loses, doubles,
 //! delays and reorders.
-
-use std::sync::atomic::{AtomicI64, Ordering};
-use std::sync::{Arc, LazyLock};
+use std::sync::LazyLock;
 
 use mom_client::{Map, Value};
 use mom_cubo::model::LAYOUT;
@@ -47,9 +45,8 @@ struct Rig {
     is_numb: bool,
     /// The peer hears no notices.
     is_deaf: bool,
-    /// µs, and the same for the clock of the program.
+    /// µs.
     now: u64,
-    clock: Arc<AtomicI64>,
 }
 
 impl Rig {
@@ -65,10 +62,7 @@ impl Rig {
     fn with(settings: Settings, theirs: robot::Settings, seed: u64) -> Rig {
         let model = Model::read(mom_cubo::MODEL).expect("a model");
         let mirror = Simulacrum::new("cubo", model, settings).expect("settings");
-        let clock = Arc::new(AtomicI64::new(0));
-        let told = Arc::clone(&clock);
-        let machine =
-            Mirror::new(mirror.clone(), Chassis::CUBO, None).with_clock(move || told.load(Ordering::Relaxed));
+        let machine = Mirror::new(mirror.clone(), Chassis::CUBO, None);
         mirror.with(|middle| middle.start(0));
         let mut body = Cubo::new(Pose::new(2500.0, 2500.0, 0.0)).expect("a place");
         // Its pictures are nobody's here.
@@ -85,7 +79,6 @@ impl Rig {
             is_numb: false,
             is_deaf: false,
             now: 0,
-            clock,
         }
     }
 
@@ -128,7 +121,6 @@ impl Rig {
     /// A ms passes for all.
     fn step(&mut self) {
         self.now += 1000;
-        self.clock.store(self.time(), Ordering::Relaxed);
         self.robot();
         self.middle();
     }
@@ -468,7 +460,6 @@ fn of_a_program_that_stood_still_no_later_statement_begins() {
             rig.now += 1000;
             rig.robot();
         }
-        rig.clock.store(rig.time(), Ordering::Relaxed);
         assert!(
             !rig.acts() && rig.swing() < 1.0,
             "{script}: {:?}",

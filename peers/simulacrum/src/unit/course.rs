@@ -2,7 +2,7 @@
 
 use mom_device::{DeviceError, ErrorName, Machine as _};
 
-use super::{Doing, Mirror, PATIENCE, UNCONFIRMED};
+use super::{Doing, Mirror, UNCONFIRMED};
 use crate::{Action, Setting};
 
 impl Mirror {
@@ -34,11 +34,6 @@ impl Mirror {
     pub(super) fn go_on(&mut self) {
         let now = self.now;
         match &mut self.doing {
-            Doing::Set(until, _) | Doing::Runs(until) if now > until.saturating_add(PATIENCE) => {
-                let late = now.saturating_sub(*until);
-                let error = self.stood_still(late);
-                self.fail(error);
-            }
             // Later than its end by a moment, so that a `set` that follows at once sets other values without a rest between.
             Doing::Set(until, _) if now > *until => {
                 if let Doing::Set(_, places) = std::mem::replace(&mut self.doing, Doing::Nothing) {
