@@ -216,9 +216,13 @@ impl Servo {
             self.track
                 .see(seen.camera, [seen.taken, seen.shows], pixel, &self.motion);
             self.track.fit(&self.motion);
-            if let Some(why) = self.track.absurd() {
-                self.sight.doubt(why, self.now);
-                self.track.forget();
+            match self.track.absurd() {
+                Some(why) => {
+                    self.sight.doubt(why, self.now);
+                    self.track.forget_times();
+                }
+                None if rests && self.track.fits() => self.sight.trust(self.commands),
+                None => {}
             }
         }
         // What was taken before the hand stood away may show it in front of the blocks.

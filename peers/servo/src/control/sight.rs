@@ -5,7 +5,7 @@
 //! | the second newest picture of all cameras | [`OLD`] | [`OLDEST`] | [`BLIND`] of that |
 //! | the newest picture of the hand, where pictures lead it | [`OLD`] | [`OLDEST`] | [`BLIND`] of that |
 //! | a command whose begin the arm has not told | half as long again as they took, + [`LATE`] | the same | as long as they took, + [`UNHEARD`] |
-//! | an estimate that cannot be | the first | | the third |
+//! | an estimate that cannot be: of the delay, or of a camera | the first, and the second: all that was estimated is forgotten and measured anew | | the third, unless pictures have fitted what the commands did since |
 //!
 //! *Carefully* means: 40 mm/s, one command at a time, and the next one only when pictures have shown the hand where the last one has left it.
 
@@ -29,8 +29,10 @@ pub const UNHEARD: Micros = 1_800_000;
 const MOST_USUAL: Micros = 2_200_000;
 /// So long it goes carefully after all is well again, µs.
 const CAREFUL: Micros = 6_000_000;
-/// So often an estimate may be one that cannot be.
+/// So many estimates that cannot be end it.
 const ABSURD: u32 = 3;
+/// So many commands that did what the estimate says take one of them back.
+const SOUND: u32 = 2;
 
 /// What is known of pictures and commands.
 #[derive(Debug, Clone, Default)]
@@ -48,6 +50,8 @@ pub(super) struct Sight {
     /// Why it goes carefully, and until when.
     careful: Option<(String, Micros)>,
     absurd: u32,
+    /// Commands, since the last such estimate, that did what the estimate says, and the newest of them.
+    sound: (u32, u32),
 }
 
 /// What may be done.
@@ -107,7 +111,21 @@ impl Sight {
     /// An estimate came out that cannot be.
     pub(super) fn doubt(&mut self, why: String, now: Micros) {
         self.absurd += 1;
+        self.sound.0 = 0;
         self.beware(why, now);
+    }
+
+    /// Pictures have shown the resting hand where this command should have taken it. Doubts fade with that, once the delay is measured
+    /// anew: a hand that goes carefully tells nothing of it.
+    pub(super) fn trust(&mut self, command: u32) {
+        if self.absurd == 0 || self.careful.is_some() || command == self.sound.1 {
+            return;
+        }
+        self.sound = (self.sound.0 + 1, command);
+        if self.sound.0 >= SOUND {
+            self.sound.0 = 0;
+            self.absurd -= 1;
+        }
     }
 
     /// Why it goes carefully, if it does.
@@ -298,14 +316,34 @@ mod tests {
     }
 
     #[test]
-    fn the_third_estimate_that_cannot_be_ends_it() {
+    fn the_third_estimate_that_cannot_be_ends_it_unless_commands_did_what_they_should() {
+        let absurd = || "camera 1 is turned by 24 degrees".to_owned();
         let mut sight = seen(0);
         for round in 0..2 {
-            sight.doubt("camera 1 is turned by 24 degrees".to_owned(), round);
+            sight.doubt(absurd(), round);
             assert_eq!(sight.judge(true, 10), Judgement::Move);
         }
-        sight.doubt("camera 1 is turned by 24 degrees".to_owned(), 2);
-        let end = Judgement::End("estimate: camera 1 is turned by 24 degrees".to_owned());
+        let mut certain = sight.clone();
+        sight.doubt(absurd(), 2);
+        let end = Judgement::End(format!("estimate: {}", absurd()));
         assert_eq!(sight.judge(true, 10), end);
+
+        // As long as it goes carefully, that proves nothing; nor does one command twice.
+        certain.trust(1);
+        certain.trust(2);
+        let later = 2 + CAREFUL;
+        certain.picture(0, later, 0, true);
+        certain.picture(1, later, 0, true);
+        assert_eq!(
+            (certain.judge(true, later), certain.careful()),
+            (Judgement::Move, None)
+        );
+        certain.trust(3);
+        certain.trust(3);
+        assert_eq!(certain.absurd, 2);
+        certain.trust(4);
+        assert_eq!(certain.absurd, 1);
+        certain.doubt(absurd(), later);
+        assert_eq!(certain.judge(true, later), Judgement::Move);
     }
 }

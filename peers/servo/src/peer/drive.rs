@@ -6,6 +6,8 @@ use std::time::{Duration, SystemTime};
 use mom_client::{Channel, Client, Event, Events, Family, Parcel, Value, from_value};
 use mom_drive::{DeviceChannel, Holding, RobotState, VerbFailure, both, closed, halt, refusal};
 use serde::Deserialize;
+use tokio::runtime::{Handle, RuntimeFlavor};
+use tokio::task::block_in_place;
 use tokio::time::{Instant, sleep};
 
 use super::Order;
@@ -82,6 +84,15 @@ pub(super) fn hub_now(client: &Client) -> Micros {
         .unwrap_or(0)
 }
 
+/// Does what takes its time, some tenths of a second on a busy machine, beside the runtime's other work: the signs of life of the link
+/// to the hub must not wait for it.
+pub(super) fn long<T>(work: impl FnOnce() -> T) -> T {
+    match Handle::current().runtime_flavor() {
+        RuntimeFlavor::MultiThread => block_in_place(work),
+        _ => work(),
+    }
+}
+
 impl Drive {
     pub(super) fn new(links: Links, order: Order, servo: Servo, fence: u64) -> Drive {
         Drive {
@@ -113,7 +124,8 @@ impl Drive {
                 let error = Micros::try_from(error.as_micros()).unwrap_or(Micros::MAX / 4);
                 self.servo.round_trip(2 * error);
             }
-            match self.servo.next(hub_now(&self.links.client)) {
+            let now = hub_now(&self.links.client);
+            match long(|| self.servo.next(now)) {
                 Action::Command(command) => {
                     self.send(&command).await?;
                     continue;
@@ -136,7 +148,7 @@ impl Drive {
 
     fn see(&mut self, seen: Seen) {
         let shows = shown(seen.taken, seen.shows, self.stated);
-        self.servo.see(&Seen { shows, ..seen });
+        long(|| self.servo.see(&Seen { shows, ..seen }));
     }
 
     fn aligned(&self) -> String {

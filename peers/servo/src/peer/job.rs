@@ -8,7 +8,7 @@ use tokio::sync::watch as signal;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, timeout, timeout_at};
 
-use super::drive::{Drive, Links, hub_now};
+use super::drive::{Drive, Links, hub_now, long};
 use super::report::Report;
 use super::watch::Eyes;
 use super::{OFFERED, Order, ServoOptions, refuse, say, watch};
@@ -156,10 +156,10 @@ impl Places {
             let Ok(Some(seen)) = timeout_at(until, self.seen.next()).await else {
                 break;
             };
-            servo.see(&seen);
+            long(|| servo.see(&seen));
             let camera = seen.camera;
             images[camera] = Some(seen);
-            if images.iter().all(Option::is_some) && servo.feasible(hub_now(client)).is_ok() {
+            if images.iter().all(Option::is_some) && long(|| servo.feasible(hub_now(client))).is_ok() {
                 break;
             }
         }
@@ -169,7 +169,7 @@ impl Places {
             return Err(later(format!("no camera shows an image with a matrix: {paths}")));
         }
         for block in [order.task.first, order.task.second] {
-            if let Some(height) = stands_high(&images, block) {
+            if let Some(height) = long(|| stands_high(&images, block)) {
                 let name = NAMES[block].0;
                 return Err(later(format!(
                     "{name} is {height:.0} mm above the table; both blocks must stand on it"
