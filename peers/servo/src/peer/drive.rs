@@ -113,12 +113,13 @@ impl Drive {
     /// Works until the blocks are aligned, and says how well.
     pub(super) async fn run(&mut self) -> Result<String, VerbFailure> {
         loop {
-            // Whatever has come already counts before anything is sent.
+            if let Some(seen) = self.links.seen.ready() {
+                self.see(seen);
+            }
+            // Whatever has come already counts before anything is sent, or the arm is blamed for what was not read: also what came while
+            // that image took its time.
             while let Some(event) = self.links.events.try_next() {
                 self.note(&event)?;
-            }
-            while let Some(seen) = self.links.seen.ready() {
-                self.see(seen);
             }
             if let Some((_, error)) = self.links.client.clock().now() {
                 let error = Micros::try_from(error.as_micros()).unwrap_or(Micros::MAX / 4);
