@@ -540,7 +540,10 @@ mod tests {
         (track.delay, track.delay_error) = (MOST_DELAY, 0.001);
         track.cameras[0].turn = Vector3::new(0.4, 0.0, 0.0);
         let why = track.absurd().unwrap();
-        assert!(why.starts_with("commands would take 3.0 s"), "the delay is blamed first: {why}");
+        assert!(
+            why.starts_with("commands would take 3.0 s"),
+            "the delay is blamed first: {why}"
+        );
         track.delay = 0.4;
         let why = track.absurd().unwrap();
         assert!(why.starts_with("camera 1 would be turned by 23 degrees"), "{why}");
