@@ -231,10 +231,10 @@ async fn an_agent_that_hangs_loses_the_token_by_its_scope() {
     drop(broker);
 }
 
-/// Neither end hears why nothing comes any more: the hub takes the token back and halts the arm, and the agent sends nothing when all
-/// passes again.
+/// Neither end hears why nothing comes any more: the arm rests, the hub takes the token back when it has kept the agent's place for its
+/// time (30 s), and the agent moves nothing when all passes again.
 #[tokio::test(flavor = "multi_thread")]
-async fn an_agent_whose_link_stands_still_loses_the_token_and_the_arm_halts() {
+async fn an_agent_whose_link_stands_still_loses_the_token_and_the_arm_rests() {
     let (broker, address) = spawn_blocking(|| Running::broker(&project().join("config/lab.toml")))
         .await
         .expect("it starts");
@@ -243,23 +243,17 @@ async fn an_agent_whose_link_stands_still_loses_the_token_and_the_arm_halts() {
     let (_arm, _cameras, _agent) = parts(&hub, &format!("bin://{}", network.address)).await;
     let bob = join(&hub, "bob").await;
     let mut states = bob.channel("/robot/arm").await.expect("people may").events();
-    let token = bob.token("/robot/token").await.expect("people may");
-    let mut fates = token.events();
     let running = servo(&hub, &["red", "green"]).await;
     let (running, _) = report(running, "\"working\"").await;
     arm_is(&mut states, true).await;
     network.freeze(true);
     let frozen = Instant::now();
-    let returned = async {
-        while !matches!(fates.next().await, Some(Event::Grabbed { owner, .. }) if owner == "alice") {}
-    };
-    timeout(PATIENCE, returned).await.expect("it goes back to alice");
-    // Three signs of life, 500 ms apart, and not the two minutes of its scope.
+    let rests = arm_is(&mut states, false).await;
+    // A command lasts a second at most, whatever the hub knows by then.
     let took = frozen.elapsed();
     assert!(took < Duration::from_secs(10), "{took:?}");
     assert_eq!(code(running).await, Some(1));
     assert_eq!(owner(&bob).await, None, "it returned, and was released");
-    let rests = arm_is(&mut states, false).await;
     // What it had sent meanwhile is worth nothing, and it comes back without a task.
     network.freeze(false);
     let mut news = bob.channel("/servo").await.expect("people may").events();
