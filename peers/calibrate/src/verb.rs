@@ -7,11 +7,12 @@ use std::path::PathBuf;
 use std::pin::pin;
 use std::time::Duration;
 
-use mom_client::{Client, Lost, Value};
+use mom_client::{Client, Value};
 use mom_drive::{
-    CommandEnd, DeviceChannel, Doing as _, Holding, Pose, Robot, Tell, VerbFailure, WorkEnd, both, lost_words,
+    CommandEnd, DeviceChannel, Doing as _, Holding, Pose, Robot, Tell, VerbFailure, WorkEnd, both,
 };
 use serde_json::json;
+use tokio::time::timeout;
 
 use crate::agent::{self, AgentOptions};
 use crate::camera::Camera;
@@ -103,6 +104,9 @@ impl VerbArgs {
     }
 }
 
+/// So long a camera may take to have its settings back while the arm may move.
+const RESTORED: Duration = Duration::from_secs(1);
+
 /// What the camera has been told of its new matrix.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Told {
@@ -177,12 +181,23 @@ pub(crate) async fn under(
         told: Told::Nothing,
     };
     let ended = match holding.during(interrupt, job.carry_out()).await {
-        WorkEnd::Lost(lost) => return Err(lost_failure(args, &lost, job.told)),
+        WorkEnd::Lost(lost) => return Err(lost_failure(args, &holding.lost_words(&lost), job.told)),
         WorkEnd::Ended(ended) => Some(ended),
         WorkEnd::Interrupted => None,
     };
-    let restored = job.camera.restore().await;
-    let given_back = both(restored, holding.release().await);
+    // The camera's settings are its owner's to restore, and so before the token is given back; a camera that says nothing does not keep the
+    // arm going.
+    let restored = match timeout(RESTORED, job.camera.restore()).await {
+        Ok(restored) => restored,
+        Err(_) => Err(VerbFailure::new(
+            format!(
+                "the camera in {} does not say that it has its settings back",
+                job.camera.channel.path()
+            ),
+            format!("restore them: mom camera {} --format jpeg", args.view),
+        )),
+    };
+    let given_back = both(restored, holding.end(&mut job.robot).await);
     match (ended, given_back) {
         (Some(ended), given_back) => both(ended, given_back),
         (None, Ok(())) => Err(VerbFailure::plain(format!(
@@ -196,9 +211,9 @@ pub(crate) async fn under(
     }
 }
 
-fn lost_failure(args: &VerbArgs, lost: &Lost, told: Told) -> VerbFailure {
+fn lost_failure(args: &VerbArgs, why: &str, told: Told) -> VerbFailure {
     VerbFailure::new(
-        format!("{}; {}", lost_words(&args.token, lost), told.words()),
+        format!("{why}; {}", told.words()),
         format!(
             "only the token's owner restores the camera's settings: mom camera {} --format jpeg",
             args.view

@@ -12,7 +12,7 @@ use crate::failure::Doing as _;
 pub const ANSWER: Duration = Duration::from_secs(10);
 
 /// A channel with a device in it.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct DeviceChannel {
     client: Client,
     channel: Channel,

@@ -5,17 +5,19 @@ use std::pin::pin;
 use std::time::Duration;
 
 use mom_client::{Client, Lost, Token, TokenGuard};
-use tokio::time::timeout;
+use tokio::time::{Instant, timeout};
 
-use crate::VerbFailure;
 use crate::asking::ANSWER;
 use crate::failure::Doing as _;
+use crate::scope::{beyond_scope, scope_end_words};
+use crate::{Robot, VerbFailure};
 
 /// A token that we own, or have lost.
 #[derive(Debug)]
 pub struct Holding {
     token: Token,
     guard: TokenGuard,
+    since: Instant,
 }
 
 /// How the work under a token ended.
@@ -41,7 +43,8 @@ impl Holding {
             None => token.grab(),
         };
         let guard = grab.await.doing(format!("grab {path}"))?;
-        Ok(Holding { token, guard })
+        let since = Instant::now();
+        Ok(Holding { token, guard, since })
     }
 
     /// Accepts a token that another peer offers.
@@ -50,7 +53,8 @@ impl Holding {
     /// The hub's refusal, a lost connection.
     pub async fn accept(token: Token) -> Result<Holding, VerbFailure> {
         let guard = token.accept().await.doing(format!("accept {}", token.path()))?;
-        Ok(Holding { token, guard })
+        let since = Instant::now();
+        Ok(Holding { token, guard, since })
     }
 
     /// The fence of the ownership.
@@ -65,17 +69,21 @@ impl Holding {
         &self.guard
     }
 
-    /// Works until the work is done, or the user wants no more, or the token is lost.
+    /// Works until the work is done, or the user wants no more, or the token is lost. What was lent ends with its scope, also where the hub is
+    /// silent, and with who lent it.
     pub async fn during<T>(
         &mut self,
         interrupt: impl Future<Output = ()>,
         work: impl Future<Output = Result<T, VerbFailure>>,
     ) -> WorkEnd<Result<T, VerbFailure>> {
         let (interrupt, work) = (pin!(interrupt), pin!(work));
+        let loan = self.guard.delegation().cloned();
+        let beyond = pin!(beyond_scope(&self.token, loan.as_ref(), self.since));
         let ended = tokio::select! {
             biased;
             lost = self.guard.lost() => return WorkEnd::Lost(lost),
             () = interrupt => WorkEnd::Interrupted,
+            why = beyond => return WorkEnd::Ended(Err(VerbFailure::plain(why))),
             ended = work => WorkEnd::Ended(ended),
         };
         // Who interrupts wants the token back at once, and has no refusal that is to be explained.
@@ -88,6 +96,20 @@ impl Holding {
             true => WorkEnd::Lost(self.guard.lost().await),
             false => ended,
         }
+    }
+
+    /// Why the token is gone, in words; that its scope is used up, if that is it.
+    #[must_use]
+    pub fn lost_words(&self, lost: &Lost) -> String {
+        scope_end_words(self.guard.path().as_str(), lost, self.guard.delegation())
+    }
+
+    /// Gives the token back, so that the hub halts the robot; a command of ours that runs is heard to have ended.
+    ///
+    /// # Errors
+    /// The hub's refusal, a lost connection; a robot that did not end its command, and was stopped or is silent.
+    pub async fn end(self, robot: &mut Robot) -> Result<(), VerbFailure> {
+        robot.halt(self.release()).await
     }
 
     /// Gives the token back. Does nothing if it is lost.

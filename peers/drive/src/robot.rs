@@ -1,5 +1,6 @@
 //! Driving a robot: one command after the other, each to its end.
 
+use std::future::Future;
 use std::time::Duration;
 
 use mom_client::{Event, Events, Family, Map, Parcel, Value, from_value};
@@ -117,6 +118,8 @@ pub struct Robot {
     state: Option<RobotState>,
     /// That of the token.
     fence: u64,
+    /// Whether a command was sent whose end was not told.
+    runs: bool,
 }
 
 impl Robot {
@@ -128,6 +131,7 @@ impl Robot {
             channel,
             state: None,
             fence,
+            runs: false,
         }
     }
 
@@ -161,17 +165,13 @@ impl Robot {
             // Not under another ownership, should the token be lost and come back meanwhile.
             parcel.fence = Some(self.fence);
             let what = format!("send {command:?}");
+            // From here on it may run, whether or not its receipt comes.
+            self.runs = true;
             let id = self.channel.send(parcel, &what).await?;
-            let status = loop {
-                let event = self.next().await?;
-                if let Some(status) = self.status(&event, id) {
-                    match status.state.as_str() {
-                        "finished" => return Ok(CommandEnd::Done),
-                        "error" => break status,
-                        _ => {}
-                    }
-                }
-            };
+            let status = self.outcome(Some(id)).await?;
+            if status.state == "finished" {
+                return Ok(CommandEnd::Done);
+            }
             let error = status.error.unwrap_or_default();
             match Trouble::of(&error) {
                 Trouble::Pose => return Ok(CommandEnd::Refused(refusal(&error).text)),
@@ -206,6 +206,39 @@ impl Robot {
                 }
             }
         }
+    }
+
+    /// The last report about a command; about any of ours if its id is not known.
+    async fn outcome(&mut self, id: Option<u64>) -> Result<CommandStatus, VerbFailure> {
+        loop {
+            let event = self.next().await?;
+            if let Some(status) = self.status(&event, id)
+                && matches!(status.state.as_str(), "finished" | "error")
+            {
+                self.runs = false;
+                return Ok(status);
+            }
+        }
+    }
+
+    /// Gives the token back by `release`, so that the hub halts it; what runs is heard to have ended.
+    pub(crate) async fn halt(
+        &mut self,
+        release: impl Future<Output = Result<(), VerbFailure>>,
+    ) -> Result<(), VerbFailure> {
+        if !self.runs {
+            return release.await;
+        }
+        // Its own ends are told to whoever drives next, too.
+        let device = self.channel.clone();
+        let ended = async {
+            // Where events end or were lost, its end is not known, and it says nothing.
+            if self.outcome(None).await.is_err() {
+                std::future::pending::<()>().await;
+            }
+        };
+        let (released, halt) = crate::ending::halt(&device, release, ended).await;
+        crate::both(released, halt.verdict(device.path().as_str()))
     }
 
     /// Waits for news that the controller is there, of which this error said that it is not.
@@ -317,7 +350,7 @@ impl Robot {
     }
 
     /// What an event says about our command.
-    fn status(&self, event: &Event, id: u64) -> Option<CommandStatus> {
+    fn status(&self, event: &Event, id: Option<u64>) -> Option<CommandStatus> {
         let Event::Message(parcel) = event else {
             return None;
         };
@@ -325,7 +358,7 @@ impl Robot {
             "status" => from_value(parcel.value()).ok()?,
             _ => return None,
         };
-        (status.id == Some(id) && status.peer == self.channel.me()).then_some(status)
+        ((id.is_none() || status.id == id) && status.peer == self.channel.me()).then_some(status)
     }
 }
 

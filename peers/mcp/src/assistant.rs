@@ -3,8 +3,10 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_client::{Client, Event, LinkState, Lost, Parcel, Token, TokenGuard, TokenInfo, Value, from_value};
-use mom_drive::{DeviceChannel, Doing as _, RobotState, VerbFailure, lost_words};
+use mom_client::{
+    Client, Event, LinkState, Loan, Lost, Parcel, Token, TokenGuard, TokenInfo, Value, from_value,
+};
+use mom_drive::{DeviceChannel, Doing as _, RobotState, VerbFailure, beyond_scope, scope_end_words};
 use parking_lot::Mutex;
 use tokio::sync::{Notify, watch};
 use tokio::time::{Instant, sleep, timeout};
@@ -19,6 +21,9 @@ const ACCEPTED: Duration = Duration::from_secs(5);
 const JOINED: Duration = Duration::from_secs(5);
 /// So long the hub may take to have the token back.
 const END: Duration = Duration::from_secs(2);
+
+/// How long a token is kept that a person gave or handed over without a limit, and for how many scripts.
+pub(crate) const UNSCOPED: (Duration, u64) = (Duration::from_secs(120), 20);
 
 /// Where everything is.
 #[derive(Debug, Clone)]
@@ -44,19 +49,22 @@ struct Hand {
     lost: Option<Lost>,
 }
 
-/// What was asked for, where the owner's yes has no scope of its own: this program keeps to it.
+/// What this program keeps to where the token came without a scope: what was asked for, or [`UNSCOPED`].
 #[derive(Debug, Clone, Copy)]
 struct Limit {
     fence: u64,
-    until: Option<Instant>,
-    commands: Option<u64>,
+    until: Instant,
+    commands: u64,
 }
 
 impl Limit {
     fn is_over(&self) -> bool {
-        self.commands == Some(0) || self.until.is_some_and(|until| until <= Instant::now())
+        self.commands == 0 || self.until <= Instant::now()
     }
 }
+
+/// Why the token was given back after the last script.
+const ALL: &str = "what you asked for is over";
 
 /// A peer that is logged in.
 #[derive(Debug)]
@@ -69,6 +77,8 @@ pub(crate) struct Assistant {
     token: watch::Sender<Option<Token>>,
     hand: Mutex<Hand>,
     limit: Mutex<Option<Limit>>,
+    /// The newest fence whose time is over though the hub has not taken it, and why.
+    over: watch::Sender<Option<(u64, String)>>,
     /// The state of the robot that the model was told of last, by the id of its message.
     told: Mutex<Option<u64>>,
     /// Told when the hand has something in it.
@@ -94,6 +104,7 @@ impl Assistant {
             token: watch::Sender::new(Some(first.clone())),
             hand: Mutex::default(),
             limit: Mutex::default(),
+            over: watch::Sender::new(None),
             told: Mutex::default(),
             taken: Notify::new(),
         });
@@ -189,27 +200,58 @@ impl Assistant {
         self.taken.notify_one();
     }
 
-    /// Keeps to what was asked for, if the token in the hand was given for good.
-    pub(crate) fn keep_to(self: &Arc<Self>, time: Option<Duration>, commands: Option<u64>) {
-        let whole = self.held(|guard| guard.delegation().is_none().then(|| guard.fence()));
-        let Some(fence) = whole.flatten() else { return };
-        *self.limit.lock() = Some(Limit {
-            fence,
-            until: time.map(|time| Instant::now() + time),
-            commands,
-        });
-        if let Some(time) = time {
-            let assistant = Arc::clone(self);
-            tokio::spawn(async move {
-                sleep(time).await;
-                // While a command is carried out the token is in that one's hand, which gives it back.
-                if assistant.held(TokenGuard::fence) == Some(fence)
-                    && let Ok(guard) = assistant.take().await
-                {
-                    assistant.give_back(guard).await;
-                }
+    /// Keeps to the limits of the token in the hand: to its scope and who lent it; where it has none, to what was asked for, or to
+    /// [`UNSCOPED`]. What runs then is ended.
+    pub(crate) fn keep_to(self: &Arc<Self>, token: &Token, time: Option<Duration>, commands: Option<u64>) {
+        let Some((fence, loan)) = self.held(|guard| (guard.fence(), guard.delegation().cloned())) else {
+            return;
+        };
+        let time = time.unwrap_or(UNSCOPED.0);
+        if loan.is_none() {
+            *self.limit.lock() = Some(Limit {
+                fence,
+                until: Instant::now() + time,
+                commands: commands.unwrap_or(UNSCOPED.1),
             });
         }
+        let (assistant, token) = (Arc::clone(self), token.clone());
+        tokio::spawn(async move {
+            let why = ended(&token, loan.as_ref(), time).await;
+            // The end of an earlier token, whose time ran on after it was returned, says nothing of this one.
+            assistant.over.send_if_modified(|over| {
+                let newer = over.as_ref().is_none_or(|(ended, _)| *ended < fence);
+                if newer {
+                    *over = Some((fence, why.clone()));
+                }
+                newer
+            });
+            // Whoever drives under it gives it back, and nobody else has it in the hand.
+            if assistant.held(TokenGuard::fence) == Some(fence)
+                && let Ok(guard) = assistant.take().await
+            {
+                assistant.give_back(guard, why).await;
+            }
+        });
+    }
+
+    /// Waits until the time of this fence is over though the hub has not taken it; why.
+    pub(crate) async fn over(&self, fence: u64) -> String {
+        let mut over = self.over.subscribe();
+        let is_over = |over: &Option<(u64, String)>| over.as_ref().is_some_and(|(ended, _)| *ended == fence);
+        let why = over
+            .wait_for(is_over)
+            .await
+            .map(|over| over.as_ref().map(|(_, why)| why.clone()));
+        match why {
+            Ok(why) => why.unwrap_or_default(),
+            // The assistant itself holds the sender.
+            Err(_) => std::future::pending().await,
+        }
+    }
+
+    /// Whether the token in the hand came without a scope.
+    pub(crate) fn is_unscoped(&self, fence: u64) -> bool {
+        self.limit.lock().is_some_and(|limit| limit.fence == fence)
     }
 
     /// Puts the token back after a command, or gives it back if that was the last that was asked for; whether it was.
@@ -218,23 +260,23 @@ impl Assistant {
             let mut limit = self.limit.lock();
             let limit = limit.as_mut().filter(|limit| limit.fence == guard.fence());
             limit.is_some_and(|limit| {
-                limit.commands = limit.commands.map(|commands| commands.saturating_sub(1));
+                limit.commands = limit.commands.saturating_sub(1);
                 limit.is_over()
             })
         };
         match over {
-            true => self.give_back(guard).await,
+            true => self.give_back(guard, ALL.to_owned()).await,
             false => self.put(guard),
         }
         over
     }
 
-    async fn give_back(&self, guard: TokenGuard) {
+    async fn give_back(&self, guard: TokenGuard, why: String) {
         if let Err(error) = guard.release().await {
             tracing::warn!("the token was not given back: {error}");
         }
         self.lose(Lost {
-            reason: "what you asked for is over, so it was given back".to_owned(),
+            reason: format!("{why}, so it was given back"),
             by: None,
         });
     }
@@ -245,6 +287,7 @@ impl Assistant {
             let mut hand = self.hand.lock();
             (hand.guard.take(), hand.lost.clone())
         };
+        let loan = guard.as_ref().and_then(|guard| guard.delegation().cloned());
         let lost = match guard {
             Some(guard) if !guard.is_lost() => return Ok(guard),
             // It is lost already, so this waits for nothing.
@@ -252,7 +295,7 @@ impl Assistant {
             None => lost,
         };
         self.hand.lock().lost.clone_from(&lost);
-        Err(lost.map(|lost| loss_words(&self.places.token, &lost)))
+        Err(lost.map(|lost| loss_words(&self.places.token, &lost, loan.as_ref())))
     }
 
     /// What the token in the hand tells; none if there is none.
@@ -288,12 +331,13 @@ impl Assistant {
     }
 
     /// Accepts what the owner offers.
-    async fn accept(&self, token: &Token) {
+    async fn accept(self: &Arc<Self>, token: &Token) {
         match token.accept().await {
             Ok(guard) => {
                 let by = guard.delegation().map(|loan| format!(" by {}", loan.from));
                 tracing::info!("{} is given{}", self.places.token, by.unwrap_or_default());
                 self.put(guard);
+                self.keep_to(token, None, None);
             }
             Err(error) => tracing::warn!("the offer came to nothing: {error}"),
         }
@@ -322,14 +366,24 @@ impl Assistant {
     }
 }
 
+/// Waits for the end of what may be done under a token, which the hub does not bring about: of its scope where the hub is silent, of who
+/// lent it, or of the time that it is kept for. Why, in words.
+async fn ended(token: &Token, loan: Option<&Loan>, time: Duration) -> String {
+    let since = Instant::now();
+    tokio::select! {
+        why = beyond_scope(token, loan, since) => why,
+        () = sleep(time), if loan.is_none() => format!("the {} s for which you may keep it are over", time.as_secs_f64()),
+    }
+}
+
 /// How the token was lost, in words.
-pub(crate) fn loss_words(token: &str, lost: &Lost) -> String {
+pub(crate) fn loss_words(token: &str, lost: &Lost, loan: Option<&Loan>) -> String {
     match lost.reason.as_str() {
         // The client gives back what it may not renew.
         "denied" => format!(
             "lost {token}: a third of its lease is over, and the hub does not let this user `renew` it (denied)"
         ),
-        _ => lost_words(token, lost),
+        _ => scope_end_words(token, lost, loan),
     }
 }
 

@@ -3,27 +3,21 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_client::{
-    BASED_ON, ClientError, Event, Events, Family, Loan, Lost, Parcel, TokenGuard, Value, WireError,
-    from_value, plain_duration,
-};
+use mom_client::{ClientError, Family, Loan, Lost, Parcel, TokenGuard, plain_duration};
 use serde::Deserialize;
 use serde_json::{Value as Json, json};
 use tokio::time::{Instant, interval_at, timeout};
 
 use crate::answer::Answer;
-use crate::assistant::{Assistant, loss_words};
+use crate::assistant::{Assistant, UNSCOPED, loss_words};
 use crate::progress::Progress;
+use crate::script::{End, carry_out, failed, halted, hand_back, too_fast};
 use crate::sight::{count_words, give_command, pose_words, scope_words};
 
 /// How long a person may take by default: clients of MCP wait a minute.
 const PATIENCE: u64 = 50;
 /// How often a waiting client is told so.
 const TOLD: Duration = Duration::from_secs(2);
-/// So long the arm may take to stand under a new owner.
-const HANDS: Duration = Duration::from_secs(5);
-/// An arm that says nothing for so long while it works is not there; a statement may wait for a minute.
-const SILENT: Duration = Duration::from_secs(90);
 /// So long devices may take to say that they stand.
 const STANDS: Duration = Duration::from_secs(1);
 /// So long the state may be behind the report of the same end.
@@ -159,7 +153,7 @@ async fn ask(assistant: &Arc<Assistant>, wish: &Wish, owner: &str, progress: &mu
             answer = &mut request => match answer {
                 Ok(guard) => {
                     assistant.put(guard);
-                    assistant.keep_to(wish.for_seconds.map(Duration::from_secs), wish.commands);
+                    assistant.keep_to(&token, wish.for_seconds.map(Duration::from_secs), wish.commands);
                     break None;
                 }
                 Err(error) => break Some(error),
@@ -203,8 +197,10 @@ fn granted(assistant: &Assistant) -> Option<Answer> {
             )
         }
         None => format!(
-            "you hold {path}, handed over for good, but for what you asked for yourself: nothing else takes it from you than a \
-             person of a higher level, so call return_token as soon as you are done"
+            "you hold {path}, handed over for good: it is given back after what you asked for, or else after {} s or {}; call \
+             return_token as soon as you are done",
+            UNSCOPED.0.as_secs(),
+            count_words(UNSCOPED.1)
         ),
     };
     let scope = loan.map(|loan| {
@@ -217,39 +213,21 @@ fn granted(assistant: &Assistant) -> Option<Answer> {
     ))
 }
 
-/// How a command came to its end.
-enum End {
-    Finished,
-    Failed(Status),
-    Lost(Lost),
-    Cancelled,
-    /// What became of it is not known.
-    Unknown(Answer),
-}
-
-/// A report about a command.
-#[derive(Debug, Deserialize)]
-struct Status {
-    #[serde(default)]
-    id: Option<u64>,
-    peer: String,
-    state: String,
-    #[serde(default)]
-    statement: u32,
-    #[serde(default)]
-    of: u32,
-    #[serde(default)]
-    error: Option<Value>,
-}
-
 /// `move`
 pub(crate) async fn run(assistant: &Assistant, script: &str, progress: &mut Progress) -> Answer {
     let mut guard = match take(assistant).await {
         Ok(guard) => guard,
         Err(answer) => return *answer,
     };
+    if assistant.is_unscoped(guard.fence())
+        && let Some(answer) = too_fast(script)
+    {
+        assistant.put(guard);
+        return answer;
+    }
     let before = assistant.newest();
-    let end = carry_out(assistant, &mut guard, script, progress).await;
+    let mut runs = None;
+    let end = carry_out(assistant, &mut guard, script, progress, &mut runs).await;
     let end = match end {
         // The hub's word that the token is lost may be behind the robot's that it was halted.
         End::Failed(status) => {
@@ -263,18 +241,28 @@ pub(crate) async fn run(assistant: &Assistant, script: &str, progress: &mut Prog
     };
     let path = &assistant.places.token;
     let answer = match end {
+        // Nobody watches any more: whoever lent it has it back, and the hub halts the robot.
         End::Cancelled => {
-            // Nobody watches any more: whoever lent it has it back, and the hub halts the robot.
-            let _released = guard.release().await;
-            return Answer::bad(
-                "cancelled",
-                format!("{path} is given back, and the hub has halted the arm"),
+            let ended = hand_back(assistant, guard, runs).await;
+            return halted("cancelled", &format!("{path} is given back"), ended);
+        }
+        End::Over(why) => {
+            assistant.lose(Lost {
+                reason: format!("{why}, so it was given back"),
+                by: None,
+            });
+            let ended = hand_back(assistant, guard, runs).await;
+            let answer = halted(
+                "over",
+                &format!("{why}, so the script was ended and {path} is given back; do not go on"),
+                ended,
             );
+            return with_rest(assistant, answer, before).await;
         }
         End::Lost(lost) => {
             let text = format!(
                 "you have {}, so the hub has halted the arm; do not go on",
-                loss_words(path, &lost)
+                loss_words(path, &lost, guard.delegation())
             );
             assistant.lose(lost.clone());
             Answer::bad("lost", text).with("lost", json!({"reason": lost.reason, "by": lost.by}))
@@ -287,7 +275,7 @@ pub(crate) async fn run(assistant: &Assistant, script: &str, progress: &mut Prog
     let answer = with_rest(assistant, answer, before).await;
     match last {
         true => answer.and(&format!(
-            "that was what you asked {path} for, so it was given back"
+            "that was the last that you may do with {path}, so it was given back"
         )),
         false => answer,
     }
@@ -356,119 +344,6 @@ async fn take(assistant: &Assistant) -> Result<TokenGuard, Box<Answer>> {
         "not-owner",
         format!("nothing was moved: {why}. {now}"),
     )))
-}
-
-/// The error of a command.
-fn failed(status: &Status) -> Answer {
-    let error = status.error.clone().unwrap_or_default();
-    let error = error.as_map().map(WireError::from_map);
-    let place = match status.statement {
-        0 => String::new(),
-        number => format!(" at statement {number} of {}", status.of),
-    };
-    let what = format!("the arm ended the script with an error{place}");
-    let answer = match error {
-        Some(error) => Answer::refused(&what, &error),
-        None => Answer::bad("failed", what),
-    };
-    answer
-        .with("status", json!("error"))
-        .with("statement", json!(status.statement))
-        .with("of", json!(status.of))
-}
-
-/// Sends a script and waits for its end.
-async fn carry_out(
-    assistant: &Assistant,
-    guard: &mut TokenGuard,
-    script: &str,
-    progress: &mut Progress,
-) -> End {
-    let fence = guard.fence();
-    // A command that comes while the arm still halts for the last owner is refused.
-    let stands = assistant.robot_state_when(HANDS, |state| state.is_under(fence));
-    tokio::select! {
-        biased;
-        lost = guard.lost() => return End::Lost(lost),
-        () = progress.cancelled() => return End::Cancelled,
-        _stands = stands => {}
-    }
-    let mut events = assistant.robot.events();
-    let mut parcel = Parcel::new(Family::Message, "command").content(script);
-    parcel.fence = Some(fence);
-    if is_relative(script) {
-        let Some(told) = assistant.told().and_then(|id| i64::try_from(id).ok()) else {
-            let text = "`by` is relative to where the arm is: call `where` first, so that you know";
-            return End::Unknown(Answer::bad("stale-state", text));
-        };
-        parcel.extra.set(BASED_ON, told);
-    }
-    let id = match assistant.robot.send(parcel, "send the script").await {
-        Ok(id) => id,
-        Err(failure) if guard.is_lost() => {
-            tracing::debug!("{failure}");
-            return End::Lost(guard.lost().await);
-        }
-        Err(failure) => return End::Unknown(Answer::from(&failure)),
-    };
-    loop {
-        tokio::select! {
-            biased;
-            lost = guard.lost() => return End::Lost(lost),
-            () = progress.cancelled() => return End::Cancelled,
-            next = timeout(SILENT, status(assistant, &mut events, id)) => match next {
-                Ok(Ok(status)) => match status.state.as_str() {
-                    "finished" => return End::Finished,
-                    "error" => return End::Failed(status),
-                    state => {
-                        let words = format!("{state} statement {} of {}", status.statement, status.of);
-                        progress.tell(status.statement.into(), Some(status.of.into()), words).await;
-                    }
-                },
-                Ok(Err(answer)) => return End::Unknown(answer),
-                Err(_) => {
-                    let text = format!("the arm has said nothing for {} s; what became of the script is not known", SILENT.as_secs());
-                    return End::Unknown(Answer::bad("silent", text));
-                }
-            },
-        }
-    }
-}
-
-/// Whether a script has statements that depend on where the arm is.
-fn is_relative(script: &str) -> bool {
-    let mut statements = script.split([';', '\n']);
-    statements.any(|statement| statement.split_whitespace().next() == Some("by"))
-}
-
-/// The next report about our command.
-async fn status(assistant: &Assistant, events: &mut Events, id: u64) -> Result<Status, Answer> {
-    let unknown = |code: &str, why: &str| {
-        Answer::bad(
-            code,
-            format!("{why}; what became of the script is not known, so look"),
-        )
-    };
-    loop {
-        match events.next().await {
-            Some(Event::Message(parcel)) if parcel.name() == "status" => {
-                if let Ok(status) = from_value::<Status>(parcel.value())
-                    && status.id == Some(id)
-                    && status.peer == assistant.client.name()
-                {
-                    return Ok(status);
-                }
-            }
-            Some(Event::LinkDown) | None => {
-                return Err(unknown(
-                    "disconnected",
-                    "the connection to the hub was lost, and the hub halts the arm",
-                ));
-            }
-            Some(Event::Lagged(_)) => return Err(unknown("lagged", "events of the arm were lost here")),
-            Some(_) => {}
-        }
-    }
 }
 
 /// `return_token`
@@ -564,18 +439,6 @@ mod tests {
             json!({"reason": "x", "commands": -1}),
         ] {
             assert!(wish(bad.clone()).is_err(), "{bad}");
-        }
-    }
-
-    #[test]
-    fn what_depends_on_where_the_arm_is() {
-        for (script, relative) in [
-            ("move 1 2 3 0 0", false),
-            ("home\n by 1 0 0 0 0", true),
-            ("grip open;by 1 0 0 0 0", true),
-            ("standby", false),
-        ] {
-            assert_eq!(is_relative(script), relative, "{script}");
         }
     }
 }

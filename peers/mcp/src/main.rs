@@ -5,6 +5,7 @@ mod answer;
 mod assistant;
 mod drive;
 mod progress;
+mod script;
 mod server;
 
 mod sight;

@@ -5,7 +5,7 @@ use std::time::Duration;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use mom_client::{Client, ContextKind, Map, Time, TokenInfo, Value, plain_duration};
-use mom_drive::{DeviceChannel, Pose, VerbFailure};
+use mom_drive::{DeviceChannel, Pose, VerbFailure, believed};
 use serde_json::{Value as Json, json};
 use tokio::time::timeout;
 
@@ -18,6 +18,8 @@ const STATE: Duration = Duration::from_secs(2);
 const OBJECTS: Duration = Duration::from_secs(1);
 /// The largest image that is handed on, bytes.
 const IMAGE: usize = 8 * 1024 * 1024;
+/// An older picture is nothing to move by, ms.
+const OLD: f64 = 2000.0;
 /// The most objects that are told.
 const MOST: usize = 100;
 
@@ -84,10 +86,16 @@ fn picture(client: &Client, camera: &str, content: &Value) -> Answer {
     if let Some(Value::Time(taken)) = content.get("taken") {
         words.push_str(&format!(", taken {taken}"));
         facts["taken"] = json!(taken.to_string());
-        if let Some((age, error)) = age(client, *taken) {
-            words.push_str(&format!(", {age:.0} ms ago (± {error:.1} ms)"));
+        if let Some((age, error, most)) = age(client, *taken) {
+            words.push_str(&format!(
+                ", {age:.0} ms ago (± {error:.1} ms, at most {most:.0} ms)"
+            ));
+            if most > OLD {
+                words.push_str("; that is too old to move by, look again");
+            }
             facts["age_ms"] = json!(age);
             facts["age_error_ms"] = json!(error);
+            facts["age_at_most_ms"] = json!(most);
         }
     }
     let pose = content.get("pose").cloned();
@@ -100,11 +108,18 @@ fn picture(client: &Client, camera: &str, content: &Value) -> Answer {
     answer
 }
 
-/// ms since then by the hub's clock, and the error.
-fn age(client: &Client, then: Time) -> Option<(f64, f64)> {
+/// ms since then by the hub's clock, the error, and how much it is at most: an age that cannot be is not believed.
+fn age(client: &Client, then: Time) -> Option<(f64, f64, f64)> {
     let (now, error) = client.clock().now()?;
     let age = now.micros().saturating_sub(then.micros());
-    Some((age.max(0) as f64 / 1000.0, error.as_secs_f64() * 1000.0))
+    let error = i64::try_from(error.as_micros()).unwrap_or(i64::MAX);
+    // The error is half the round trip at least.
+    let most = believed(age, error, error.saturating_mul(2));
+    Some((
+        age.max(0) as f64 / 1000.0,
+        error as f64 / 1000.0,
+        most as f64 / 1000.0,
+    ))
 }
 
 /// `where`

@@ -15,6 +15,8 @@ pub struct Seen {
     pub taken: Micros,
     /// When the hand was where it shows it, as far as the camera knows: a drawn image shows the newest state that had come.
     pub shows: Micros,
+    /// How well these times are known, µs.
+    pub error: Micros,
     /// From mm on the table to its pixels, by the camera's word.
     pub projection: Projection,
     /// The middle of the ball on the gripper.
@@ -32,6 +34,7 @@ impl Seen {
             camera,
             taken,
             shows: taken,
+            error: 0,
             projection,
             marker: marker.map(|spot| spot.middle),
             blocks: blocks::find(picture, &palette()),

@@ -15,6 +15,8 @@ use nalgebra::{DMatrix, DVector, Matrix3x4, Rotation3, Vector3};
 use crate::Micros;
 use crate::motion::{Motion, Travel};
 
+/// Where the tip is taken to be before any picture, mm.
+const UNSEEN: Vector3<f64> = Vector3::new(0.0, 0.0, 250.0);
 /// Deviation of a camera's rotation that is expected, radians: two degrees.
 const TURN: f64 = 0.035;
 /// The same after another fit has told it.
@@ -23,6 +25,10 @@ const TURN_KNOWN: f64 = 0.005;
 const DELAY: [f64; 2] = [0.2, 0.4];
 /// The longest that is believed, s.
 const MOST_DELAY: f64 = 3.0;
+/// A camera that is turned by more was not put up so, degrees: the times are wrong.
+const MOST_TURN: f64 = 8.0;
+/// What a fit leaves at most where the estimate is right, pixels.
+const FITS: f64 = 4.0;
 /// Of the marker's place in an image, pixels.
 const NOISE: f64 = 0.3;
 /// Pixels that a mm is wide, about.
@@ -64,6 +70,8 @@ pub struct Track {
     delay: f64,
     delay_error: f64,
     expected: [f64; 2],
+    /// No effect comes sooner, s.
+    least: f64,
     noise: Noise,
     /// Commands until now.
     commands: u32,
@@ -101,11 +109,12 @@ impl Track {
         Track {
             cameras: Vec::new(),
             observations: VecDeque::new(),
-            base: Vector3::new(0.0, 0.0, 250.0),
+            base: UNSEEN,
             turned,
             delay: DELAY[0],
             delay_error: DELAY[1],
             expected: DELAY,
+            least: 0.0,
             noise: Noise::default(),
             commands: 0,
             rms: 0.0,
@@ -115,6 +124,51 @@ impl Track {
     /// Expects this noise.
     pub fn expect(&mut self, noise: Noise) {
         self.noise = noise;
+    }
+
+    /// No command has its effect sooner than this after it is sent, µs.
+    pub fn no_sooner_than(&mut self, least: Micros) {
+        self.least = (least.max(0) as f64 / 1e6).min(MOST_DELAY);
+        self.delay = self.delay.max(self.least);
+    }
+
+    /// The estimate that cannot be, in words, if there is one: the delay before the cameras, whose turns follow from it.
+    #[must_use]
+    pub fn absurd(&self) -> Option<String> {
+        if !self.delay.is_finite() || self.delay >= MOST_DELAY {
+            return Some(format!(
+                "commands would take {:.1} s or longer, {MOST_DELAY:.1} s is the limit",
+                self.delay
+            ));
+        }
+        let turns = self.corrections();
+        let (camera, turn) = turns.iter().enumerate().max_by(|(_, a), (_, b)| a.total_cmp(b))?;
+        // No number is no estimate, either.
+        let sane = *turn <= MOST_TURN && self.base.iter().all(|part| part.is_finite());
+        (!sane).then(|| {
+            format!(
+                "camera {} would be turned by {turn:.0} degrees, {MOST_TURN:.0} are the limit, with commands that take {:.1} s ± {:.1} s",
+                camera + 1,
+                self.delay,
+                self.delay_error
+            )
+        })
+    }
+
+    /// Whether what two cameras or more have seen, of a hand that has moved in between, fits the estimate.
+    #[must_use]
+    pub fn fits(&self) -> bool {
+        let tells = |camera: usize| {
+            let mut commands = self
+                .observations
+                .iter()
+                .filter(|one| one.camera == camera)
+                .map(|one| one.commands);
+            let first = commands.next();
+            commands.any(|other| Some(other) != first)
+        };
+        let cameras = (0..self.cameras.len()).filter(|camera| tells(*camera)).count();
+        cameras >= self.cameras.len().min(2) && self.rms < FITS
     }
 
     /// Another command was sent.
@@ -291,6 +345,22 @@ impl Track {
         self.expected = [self.delay, DELAY[1]];
     }
 
+    /// The times were wrong, and with them all that was learnt by them: the delay is measured anew, from pictures that are still to come.
+    pub fn forget_times(&mut self) {
+        self.forget();
+        self.observations.clear();
+        for camera in &mut self.cameras {
+            // Of a hand that moved, this one would be off by as much as the times were.
+            camera.newest = None;
+        }
+        if !self.base.iter().all(|part| part.is_finite()) {
+            self.base = UNSEEN;
+        }
+        (self.delay, self.delay_error) = (DELAY[0].max(self.least), DELAY[1]);
+        self.expected = [self.delay, DELAY[1]];
+        self.rms = 0.0;
+    }
+
     /// Fits hand, cameras and delay to what has been seen.
     pub fn fit(&mut self, motion: &Motion) {
         let unknowns = 4 + 3 * self.cameras.len();
@@ -304,7 +374,7 @@ impl Track {
                 return;
             };
             let mut next = now - &step;
-            next[unknowns - 1] = next[unknowns - 1].clamp(0.0, MOST_DELAY);
+            next[unknowns - 1] = next[unknowns - 1].clamp(self.least, MOST_DELAY);
             self.set(&next);
             if step.amax() < 1e-5 {
                 break;
@@ -452,4 +522,35 @@ pub fn turned(projection: &Projection, turn: &Vector3<f64>) -> Option<Projection
     moved.fixed_columns_mut::<3>(0).copy_from(&left);
     moved.set_column(3, &last);
     Projection::of(moved)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_learnt_by_wrong_times_is_forgotten_with_them() {
+        let mut track = Track::new([0.0; 2]);
+        let above = [
+            500.0, 0.0, -320.0, 320_000.0, 0.0, -500.0, -240.0, 240_000.0, 0.0, 0.0, -1.0, 1000.0,
+        ];
+        track.meet(0, &Projection::new(above).unwrap());
+        track.no_sooner_than(300_000);
+        track.see(0, [1_000_000; 2], [320.0, 240.0], &Motion::new(0));
+        (track.delay, track.delay_error) = (MOST_DELAY, 0.001);
+        track.cameras[0].turn = Vector3::new(0.4, 0.0, 0.0);
+        let why = track.absurd().unwrap();
+        assert!(
+            why.starts_with("commands would take 3.0 s"),
+            "the delay is blamed first: {why}"
+        );
+        track.delay = 0.4;
+        let why = track.absurd().unwrap();
+        assert!(why.starts_with("camera 1 would be turned by 23 degrees"), "{why}");
+        track.forget_times();
+        assert_eq!(track.absurd(), None);
+        assert_eq!(track.delay_micros(), 300_000, "no sooner than the arm begins");
+        assert_eq!((track.seen(0), track.delay_error_micros()), (None, 400_000));
+        assert!(!track.fits(), "nothing was seen since");
+    }
 }

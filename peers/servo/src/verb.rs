@@ -7,8 +7,9 @@ use std::time::Duration;
 use mom_client::{
     Client, ClientError, Event, Events, Family, Given, Lost, Map, Parcel, TokenGuard, from_value,
 };
-use mom_drive::{DeviceChannel, Doing as _, Holding, Tell, VerbFailure, both, closed, lost_words};
+use mom_drive::{DeviceChannel, Doing as _, Holding, Tell, VerbFailure, both, closed, insist, lost_words};
 use serde_json::json;
+use tokio::time::error::Elapsed;
 use tokio::time::{Instant, timeout};
 
 use crate::peer::report::Report;
@@ -40,6 +41,9 @@ pub struct VerbArgs {
     /// The token that guards the robot
     #[arg(long, value_name = "PATH", default_value = "/robot/token")]
     pub token: String,
+    /// The robot's channel: it is stopped where the agent does not answer to Ctrl-C
+    #[arg(long, value_name = "PATH", default_value = "/robot/arm")]
+    pub robot: String,
     /// Wait in the token's queue for at most so many seconds
     #[arg(long, value_name = "SECONDS")]
     pub wait: Option<u64>,
@@ -56,7 +60,8 @@ Examples:
   mom servo blue red --for 1m --commands 40     it loses the token after a minute, or 40 commands
   mom servo red green --json | jq .mm
 
-Ctrl-C takes the token back at once; the hub halts the robot, and the last line says where the block is.";
+Ctrl-C takes the token back at once; the hub halts the robot, and the last line says where the block is. An agent that does not answer
+to it within a second is not waited for: the robot is stopped, until somebody lets it go (mom unstop).";
 
 /// How long the agent may take to give the token back after it was cancelled.
 const CANCELLED: Duration = Duration::from_secs(5);
@@ -119,6 +124,7 @@ pub async fn run(
     };
     let loan = Loan {
         args,
+        client,
         agent: &agent,
         events,
         last: None,
@@ -159,15 +165,29 @@ async fn find_agent(client: &Client, args: &VerbArgs) -> Result<(), VerbFailure>
     ))
 }
 
+/// Cancels the task, again and again; done when the agent has had its time to answer, whoever waits for that.
 async fn cancel(agent: &DeviceChannel) {
-    let message = Parcel::new(Family::Message, "cancel").content(Map::new());
-    // If it cannot be sent, the link is down, and the hub takes the token from whoever it was.
-    let _sent = timeout(LAST, agent.send(message, "cancel the task")).await;
+    let cancel = || {
+        let agent = agent.clone();
+        let message = Parcel::new(Family::Message, "cancel").content(Map::new());
+        // If it cannot be sent, the link is down, and the hub takes the token from whoever it was.
+        async move { drop(agent.send(message, "cancel the task").await) }
+    };
+    let _nothing = insist(cancel, std::future::pending::<()>()).await;
+}
+
+/// Stops the robot whose driver does not answer: the lender cannot take the token back. Whether it was told.
+async fn stop(client: &Client, robot: &str) -> Result<(), VerbFailure> {
+    let device = DeviceChannel::join(client, robot).await?;
+    let content = Map::new().with("reason", "the agent that drives it does not answer");
+    let message = Parcel::new(Family::Message, "stop").content(content);
+    device.send(message, &format!("stop {robot}")).await.map(drop)
 }
 
 /// The token is with the agent.
 struct Loan<'a, 'b> {
     args: &'a VerbArgs,
+    client: &'a Client,
     agent: &'a DeviceChannel,
     events: Events,
     /// The newest report, and when it came.
@@ -185,14 +205,17 @@ impl Loan<'_, '_> {
         mut interrupt: Pin<&mut impl Future<Output = ()>>,
     ) -> Result<(), VerbFailure> {
         let mut interrupted = None;
+        let agent = self.agent;
+        let mut unanswered: Pin<Box<dyn Future<Output = ()> + Send + '_>> = Box::pin(std::future::pending());
         let accepted = tokio::select! {
             accepted = given.accepted() => accepted,
             () = &mut interrupt => {
                 interrupted = Some(Instant::now());
-                cancel(self.agent).await;
+                unanswered = Box::pin(cancel(agent));
                 Ok(())
             }
         };
+        let mut stopped = None;
         let lapsed = accepted.err();
         let mut returned: Return = Box::pin(given.returned());
         if let Some(lapsed) = lapsed {
@@ -209,12 +232,19 @@ impl Loan<'_, '_> {
                 end = &mut returned => break end,
                 () = &mut interrupt, if interrupted.is_none() => {
                     interrupted = Some(Instant::now());
-                    cancel(self.agent).await;
+                    unanswered = Box::pin(cancel(agent));
+                }
+                () = &mut unanswered, if stopped.is_none() => {
+                    unanswered = Box::pin(std::future::pending());
+                    // Its last word says that it ends.
+                    if !self.is_over() {
+                        stopped = Some(timeout(LAST, stop(self.client, &self.args.robot)).await);
+                    }
                 }
                 () = silence(interrupted) => {
                     return Err(VerbFailure::new(
-                        format!("interrupted; the agent does not answer and has the token still; {}", self.whereabouts()),
-                        format!("it loses the token at the end of its scope ({} s); to stop the robot now: mom stop", self.args.time.as_secs()),
+                        format!("interrupted; the agent does not answer and has the token still; {}; {}", self.stop_words(&stopped), self.whereabouts()),
+                        format!("it loses the token at the end of its scope ({} s); let the robot go then: mom unstop {}", self.args.time.as_secs(), self.args.robot),
                     ));
                 }
             }
@@ -227,8 +257,18 @@ impl Loan<'_, '_> {
             };
             self.note(&event)?;
         }
+        let verdict = match &stopped {
+            None => self.verdict(),
+            Some(_) => self.verdict().map_err(|failure| {
+                let words = format!(
+                    "{failure}; {}, as the agent did not answer",
+                    self.stop_words(&stopped)
+                );
+                VerbFailure::new(words, format!("let it go with: mom unstop {}", self.args.robot))
+            }),
+        };
         match end {
-            Ok(guard) => both(self.verdict(), release(Some(guard)).await),
+            Ok(guard) => both(verdict, release(Some(guard)).await),
             Err(lost) => {
                 let text = format!("{}; {}", lost_words(&self.args.token, &lost), self.whereabouts());
                 Err(VerbFailure::plain(text))
@@ -259,6 +299,16 @@ impl Loan<'_, '_> {
                 self.whereabouts()
             ))),
             _ => Ok(()),
+        }
+    }
+
+    /// What became of the stop.
+    fn stop_words(&self, stopped: &Option<Result<Result<(), VerbFailure>, Elapsed>>) -> String {
+        let robot = &self.args.robot;
+        match stopped {
+            Some(Ok(Ok(()))) => format!("{robot} was told to stop"),
+            Some(Ok(Err(failure))) => format!("{robot} was not stopped: {failure}"),
+            Some(Err(_)) | None => format!("{robot} was not stopped"),
         }
     }
 

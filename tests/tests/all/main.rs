@@ -2,6 +2,7 @@
 
 mod access;
 mod agents;
+mod agents_end;
 mod answers;
 mod attacks;
 mod browser;

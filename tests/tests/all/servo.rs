@@ -1,7 +1,10 @@
 //! The visual-servoing agent (M41) with the real programs: it aligns two blocks with a token that was lent to it, and loses that by
 //! cancelling, by its scope, and to others never.
 
-use mom_client::{Client, Map};
+use std::time::{Duration, Instant};
+
+use mom_client::{Client, Event, Events, Map};
+use mom_tests::faulty::{Fault, FaultyNetwork};
 use mom_tests::programs::{PATIENCE, Running, project, run, text, turn};
 use serde_json::Value as Json;
 use tokio::task::spawn_blocking;
@@ -73,7 +76,7 @@ async fn a_block_is_put_beside_another_and_the_token_returns() {
     let mut refusals = Vec::new();
     let heard = async {
         while refusals.len() < 2 {
-            if let Some(mom_client::Event::Message(parcel)) = events.next().await
+            if let Some(Event::Message(parcel)) = events.next().await
                 && parcel.name().ends_with("-refused")
             {
                 let words = parcel.value();
@@ -97,7 +100,7 @@ async fn a_block_is_put_beside_another_and_the_token_returns() {
     let mut states = bob.channel("/robot/arm").await.expect("people may").events();
     let blocks = async {
         loop {
-            if let Some(mom_client::Event::Message(parcel)) = states.next().await
+            if let Some(Event::Message(parcel)) = states.next().await
                 && parcel.name() == "state"
             {
                 let state: Json = mom_client::from_value(parcel.value()).expect("a map");
@@ -154,27 +157,23 @@ async fn ctrl_c_takes_the_token_back_and_nonsense_is_refused() {
     assert_eq!(owner(&bob).await, None);
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn an_agent_that_hangs_loses_the_token_by_its_scope() {
-    let (broker, address) = spawn_blocking(|| Running::broker(&project().join("config/lab.toml")))
-        .await
-        .expect("it starts");
-    let hub = format!("bin://{address}");
-    let place = hub.clone();
+/// A hub with the arm, two cameras and, by the address that it is given of the hub, the agent; all have come.
+async fn parts(hub: &str, agents: &str) -> (Running, [Running; 2], Running) {
+    let (place, agents) = (hub.to_owned(), agents.to_owned());
     let devices = spawn_blocking(move || {
-        let start = |name: &str, user: &str, more: &[&str]| {
-            let args = [&["--hub", &place], more].concat();
+        let start = |name: &str, hub: &str, user: &str, more: &[&str]| {
+            let args = [&["--hub", hub], more].concat();
             Running::start(name, &args, &[("MOM_PASSWORD", user)])
         };
-        let cameras = ["x", "top"].map(|view| start("mom-camera", "camera", &["--view", view]));
+        let cameras = ["x", "top"].map(|view| start("mom-camera", &place, "camera", &["--view", view]));
         (
-            start("mom-arm", "arm", &[]),
+            start("mom-arm", &place, "arm", &[]),
             cameras,
-            start("mom-servo", "servo", &[]),
+            start("mom-servo", &agents, "servo", &[]),
         )
     });
-    let (_arm, _cameras, agent) = devices.await.expect("they start");
-    let bob = join(&hub, "bob").await;
+    let started = devices.await.expect("they start");
+    let bob = join(hub, "bob").await;
     let all_there = async {
         for (place, user) in [
             ("/robot/arm", "arm"),
@@ -195,11 +194,86 @@ async fn an_agent_that_hangs_loses_the_token_by_its_scope() {
         }
     };
     timeout(PATIENCE, all_there).await.expect("all come");
+    started
+}
+
+/// The arm's next state that is so.
+async fn arm_is(events: &mut Events, moving: bool) -> Json {
+    let heard = async {
+        loop {
+            if let Some(Event::Message(parcel)) = events.next().await
+                && parcel.name() == "state"
+            {
+                let state: Json = mom_client::from_value(parcel.value()).expect("a map");
+                if state["moving"] == moving {
+                    break state;
+                }
+            }
+        }
+    };
+    timeout(PATIENCE, heard).await.expect("a state")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_agent_that_hangs_loses_the_token_by_its_scope() {
+    let (broker, address) = spawn_blocking(|| Running::broker(&project().join("config/lab.toml")))
+        .await
+        .expect("it starts");
+    let hub = format!("bin://{address}");
+    let (_arm, _cameras, agent) = parts(&hub, &hub).await;
+    let bob = join(&hub, "bob").await;
     let running = servo(&hub, &["red", "green", "--for", "6s"]).await;
     let (running, _) = report(running, "\"working\"").await;
     agent.signal("STOP");
     assert_eq!(code(running).await, Some(1));
     assert_eq!(owner(&bob).await, None, "it returned, and was released");
     agent.signal("CONT");
+    drop(broker);
+}
+
+/// Neither end hears why nothing comes any more: the arm rests, the hub takes the token back when it has kept the agent's place for its
+/// time (30 s), and the agent moves nothing when all passes again.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_agent_whose_link_stands_still_loses_the_token_and_the_arm_rests() {
+    let (broker, address) = spawn_blocking(|| Running::broker(&project().join("config/lab.toml")))
+        .await
+        .expect("it starts");
+    let hub = format!("bin://{address}");
+    let network = FaultyNetwork::to(address.parse().expect("an address"), |_| Fault::default()).await;
+    let (_arm, _cameras, _agent) = parts(&hub, &format!("bin://{}", network.address)).await;
+    let bob = join(&hub, "bob").await;
+    let mut states = bob.channel("/robot/arm").await.expect("people may").events();
+    let running = servo(&hub, &["red", "green"]).await;
+    let (running, _) = report(running, "\"working\"").await;
+    arm_is(&mut states, true).await;
+    network.freeze(true);
+    let frozen = Instant::now();
+    let rests = arm_is(&mut states, false).await;
+    // A command lasts a second at most, whatever the hub knows by then.
+    let took = frozen.elapsed();
+    assert!(took < Duration::from_secs(10), "{took:?}");
+    assert_eq!(code(running).await, Some(1));
+    assert_eq!(owner(&bob).await, None, "it returned, and was released");
+    // What it had sent meanwhile is worth nothing, and it comes back without a task.
+    network.freeze(false);
+    let mut news = bob.channel("/servo").await.expect("people may").events();
+    let back = async {
+        loop {
+            let members = bob.members("/servo").await.expect("told");
+            if members.iter().any(|member| member.user == "servo") {
+                break;
+            }
+            let _news = news.next().await;
+        }
+    };
+    timeout(PATIENCE, back).await.expect("it comes back");
+    let moved = std::iter::from_fn(|| states.try_next()).any(|event| match event {
+        Event::Message(parcel) if parcel.name() == "state" => {
+            let state: Json = mom_client::from_value(parcel.value()).expect("a map");
+            state["pose"] != rests["pose"]
+        }
+        _ => false,
+    });
+    assert!(!moved, "no command is obeyed after the token is gone");
     drop(broker);
 }

@@ -5,7 +5,7 @@ use std::pin::pin;
 use std::time::Duration;
 
 use mom_client::{Client, Time};
-use mom_drive::{CommandEnd, DeviceChannel, Holding, Robot, Tell, VerbFailure, WorkEnd, both, lost_words};
+use mom_drive::{CommandEnd, DeviceChannel, Holding, Robot, Tell, VerbFailure, WorkEnd, both};
 use serde_json::json;
 use tokio::time::{Instant, timeout};
 
@@ -63,14 +63,14 @@ pub(super) async fn run(
         }
         WorkEnd::Lost(lost) => {
             return Err(job
-                .with_place(VerbFailure::plain(lost_words(&args.token, &lost)))
+                .with_place(VerbFailure::plain(holding.lost_words(&lost)))
                 .await);
         }
         WorkEnd::Ended(Err(failure)) => failure,
         WorkEnd::Interrupted => VerbFailure::plain("interrupted; the token is released"),
     };
     // First the token, so that nobody waits for a look.
-    let given_back = holding.release().await;
+    let given_back = holding.end(&mut job.robot).await;
     let failure = job.with_place(failure).await;
     both(Err(failure), given_back)
 }

@@ -1,7 +1,9 @@
 //! A rehearsal of the servo agent: its controller, the simulated arm, and the pictures that the lab's cameras draw, in virtual time.
 //!
-//! Commands reach the arm late, and images the controller; the cameras say matrices that are wrong by a rotation. The
-//! same seed gives the same rehearsal.
+//! Commands reach the arm late, and images the controller; the cameras say matrices that are wrong by a rotation; and more goes wrong
+//! where [`Trouble`] says so. The same seed gives the same rehearsal.
+
+mod way;
 
 use std::collections::VecDeque;
 
@@ -18,8 +20,12 @@ use mom_servo::track::turned;
 use mom_vision::{Picture, Projection};
 use nalgebra::Vector3;
 
+use way::Way;
+
 /// µs between two looks of the controller.
 const LOOK: Micros = 50_000;
+/// States that an image may show: three seconds of them.
+const MOST_STATES: usize = 60;
 /// The cameras in their order.
 const VIEWS: [View; 3] = [View::X, View::Y, View::Top];
 
@@ -40,6 +46,26 @@ pub struct Start {
     pub jitter: Micros,
     /// µs between two images of a camera.
     pub period: Micros,
+    /// What else goes wrong.
+    pub trouble: Trouble,
+}
+
+/// What goes wrong on the way, as on a machine that has too much to do.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Trouble {
+    /// The share of images that are lost.
+    pub dropped: f64,
+    /// µs between two times in which nothing arrives, neither images nor commands, and how long these are at most. What was on its way
+    /// arrives at once after it.
+    pub frozen: [Micros; 2],
+    /// µs by which the state that an image shows is older than the image, at most.
+    pub stale: Micros,
+    /// µs by which the times of images are wrong, at most.
+    pub wrong: Micros,
+    /// s after which the images of all cameras but one end.
+    pub blind: Option<f64>,
+    /// Other ones of the same kind.
+    pub seed: u64,
 }
 
 /// How it ended.
@@ -59,6 +85,10 @@ pub struct Outcome {
     pub inside: bool,
     /// Images that were looked at.
     pub images: usize,
+    /// mm by which the tip was off the straight way of its phase, at most, in truth.
+    pub stray: f64,
+    /// s from the last image by which two cameras had brought one, until it ended.
+    pub unseen: f64,
 }
 
 impl Start {
@@ -112,6 +142,7 @@ impl Start {
                 delay,
                 jitter: 0,
                 period: 500_000,
+                trouble: Trouble::default(),
             };
         }
     }
@@ -146,6 +177,15 @@ struct Rehearsal<'a> {
     images: VecDeque<(Micros, Seen)>,
     looked: usize,
     inside: bool,
+    trouble: Rng,
+    /// When nothing arrives next, and until when nothing does.
+    freezes: Micros,
+    thaws: Micros,
+    /// The arm's newest states.
+    states: VecDeque<(Micros, ArmState)>,
+    way: Way,
+    /// When the newest image of each camera came.
+    brought: [Micros; 3],
 }
 
 /// What the arm tells of a command.
@@ -198,6 +238,12 @@ impl<'a> Rehearsal<'a> {
             images: VecDeque::new(),
             looked: 0,
             inside: true,
+            trouble: Rng::with_seed(start.trouble.seed),
+            freezes: 62_000_000,
+            thaws: 0,
+            states: VecDeque::new(),
+            way: Way::default(),
+            brought: [60_000_000; 3],
         }
     }
 
@@ -207,7 +253,19 @@ impl<'a> Rehearsal<'a> {
         let mut now = begin;
         let mut count = 0;
         let failure = loop {
-            self.arrive(now);
+            if self.freeze(now) {
+                self.advance(now);
+            } else {
+                self.arrive(now);
+            }
+            let state = self.arm.state();
+            self.way.go(&self.servo.progress(), &state, self.start);
+            if self.start.trouble.stale > 0 {
+                self.states.push_back((now, state));
+                if self.states.len() > MOST_STATES {
+                    self.states.pop_front();
+                }
+            }
             if (now - begin) % self.start.period < LOOK {
                 self.photograph(now);
             }
@@ -235,12 +293,29 @@ impl<'a> Rehearsal<'a> {
         self.outcome(failure, now - begin)
     }
 
+    /// Whether nothing arrives now.
+    fn freeze(&mut self, now: Micros) -> bool {
+        let [between, longest] = self.start.trouble.frozen;
+        if longest > 0 && now >= self.freezes.max(self.thaws) {
+            self.thaws = now + self.trouble.i64(0..=longest);
+            self.freezes = self.thaws + self.trouble.i64(0..=2 * between);
+        }
+        now < self.thaws
+    }
+
+    fn advance(&mut self, now: Micros) {
+        let mut events = Vec::new();
+        self.arm.advance(now, &mut events);
+        self.note(&events, now);
+    }
+
     /// What was on its way until now.
     fn arrive(&mut self, now: Micros) {
         while self.commands.front().is_some_and(|(at, ..)| *at <= now) {
             let Some((at, id, command)) = self.commands.pop_front() else {
                 break;
             };
+            let at = at.max(self.thaws);
             let mut events = Vec::new();
             self.arm.advance(at, &mut events);
             if let Err(error) = self.arm.submit(id, &command, at, &mut events) {
@@ -249,9 +324,7 @@ impl<'a> Rehearsal<'a> {
             }
             self.note(&events, at);
         }
-        let mut events = Vec::new();
-        self.arm.advance(now, &mut events);
-        self.note(&events, now);
+        self.advance(now);
         while self.ends.front().is_some_and(|(at, _)| *at <= now) {
             match self.ends.pop_front() {
                 Some((_, End::Begun(number, at))) => self.servo.begun(number, at),
@@ -262,6 +335,7 @@ impl<'a> Rehearsal<'a> {
         }
         while self.images.front().is_some_and(|(at, _)| *at <= now) {
             if let Some((_, seen)) = self.images.pop_front() {
+                self.brought[seen.camera] = now;
                 self.servo.see(&seen);
             }
         }
@@ -301,7 +375,15 @@ impl<'a> Rehearsal<'a> {
     }
 
     fn photograph(&mut self, now: Micros) {
-        let scene = scene(&self.arm.state());
+        let now_shown = self.arm.state();
+        let lag = self.trouble.i64(0..=self.start.trouble.stale);
+        let older = self.states.iter().rev().find(|(at, _)| *at <= now - lag);
+        // A robot that rests tells nothing new.
+        let (shows, state) = match older {
+            Some((at, state)) if lag > 0 && state.pose != now_shown.pose => (*at, state.clone()),
+            _ => (now, now_shown),
+        };
+        let scene = scene(&state);
         for (camera, eye) in self.eyes.iter().enumerate() {
             let image = eye.render(&scene);
             let wrong = Vector3::from(self.start.wrong[camera]);
@@ -310,9 +392,26 @@ impl<'a> Rehearsal<'a> {
                 continue;
             };
             self.looked += 1;
-            let seen = Seen::look(camera, now, projection, &picture);
+            let trouble = self.start.trouble;
+            let ended = trouble.blind.is_some_and(|after| now as f64 / 1e6 - 60.0 > after);
+            if (ended && camera > 0) || self.trouble.f64() < trouble.dropped {
+                continue;
+            }
+            let wrong = self.trouble.i64(-trouble.wrong..=trouble.wrong);
+            let seen = Seen {
+                shows: shows + wrong,
+                error: trouble.wrong,
+                ..Seen::look(camera, now + wrong, projection, &picture)
+            };
             self.images.push_back((now + self.start.delay, seen));
         }
+    }
+
+    /// When the second newest image of all cameras came.
+    fn second_newest(&self) -> Micros {
+        let mut brought = self.brought;
+        brought.sort_unstable();
+        brought[1]
     }
 
     fn outcome(self, failure: Option<String>, took: Micros) -> Outcome {
@@ -329,6 +428,8 @@ impl<'a> Rehearsal<'a> {
             progress: self.servo.progress(),
             inside: self.inside,
             images: self.looked,
+            stray: self.way.stray,
+            unseen: (60_000_000 + took - self.second_newest()) as f64 / 1e6,
         }
     }
 }

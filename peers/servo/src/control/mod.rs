@@ -6,6 +6,7 @@
 
 mod moving;
 mod phases;
+mod sight;
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -21,7 +22,10 @@ use crate::plan::Plan;
 use crate::task::{NAMES, SIZE, Task};
 use crate::track::{Noise, Track};
 
+use sight::Sight;
+
 pub use phases::Phase;
+pub use sight::{BLIND, LATE, OLD, OLDEST, UNHEARD};
 
 /// Nearer than this the blocks are aligned, mm.
 pub const ALIGNED: f64 = 3.0;
@@ -29,6 +33,8 @@ pub const ALIGNED: f64 = 3.0;
 pub const PARALLEL: f64 = 4.0;
 /// How often the block is put down at most.
 const ATTEMPTS: u32 = 4;
+/// The longest time from a command to its begin that counts as usual, µs.
+const MOST_USUAL: Micros = 1_200_000;
 
 /// What the controller knows of the hand that no image shows, from the arm's state at the beginning.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -71,6 +77,8 @@ pub struct Progress {
     pub corrections: Vec<f64>,
     /// Where the first block is.
     pub first: Whereabouts,
+    /// Why it goes carefully, if it does.
+    pub careful: Option<String>,
 }
 
 /// Where a block is, as far as is known.
@@ -104,10 +112,13 @@ pub struct Servo {
     memory: Memory,
     track: Track,
     motion: Motion,
+    sight: Sight,
     plan: Option<Plan>,
     phase: Phase,
     /// When the phase began.
     since: Micros,
+    /// Whether it has gone carefully since then.
+    slowed: bool,
     /// When the last command was sent, and whether that goes as far as one can.
     sent: Option<(Micros, bool)>,
     /// When the hand was told to move last.
@@ -152,9 +163,11 @@ impl Servo {
             memory: Memory::default(),
             track: Track::new(hand.turned),
             motion: Motion::new(now),
+            sight: Sight::default(),
             plan: None,
             phase: Phase::Look,
             since: now,
+            slowed: false,
             sent: None,
             last_jog: None,
             sent_at: VecDeque::new(),
@@ -184,14 +197,33 @@ impl Servo {
         self
     }
 
+    /// The round trip to the hub, µs: nothing is known sooner.
+    pub fn round_trip(&mut self, round_trip: Micros) {
+        self.sight.round_trip(round_trip);
+        self.track
+            .no_sooner_than(self.usual.unwrap_or(0).max(round_trip / 2));
+    }
+
     /// Takes what an image shows.
     pub fn see(&mut self, seen: &Seen) {
         self.newest = self.newest.max(Some(seen.taken));
+        self.sight
+            .picture(seen.camera, seen.shows, seen.error, seen.marker.is_some());
         self.track.meet(seen.camera, &seen.projection);
-        if let Some(pixel) = seen.marker {
+        // Where times are not what they are said to be, only a hand that rests is where it is said to be.
+        let rests = self.rests() && !self.sight.is_unheard() && seen.shows >= self.settled();
+        if let Some(pixel) = seen.marker.filter(|_| rests || self.sight.careful().is_none()) {
             self.track
                 .see(seen.camera, [seen.taken, seen.shows], pixel, &self.motion);
             self.track.fit(&self.motion);
+            match self.track.absurd() {
+                Some(why) => {
+                    self.sight.doubt(why, self.now);
+                    self.track.forget_times();
+                }
+                None if rests && self.track.fits() => self.sight.trust(self.commands),
+                None => {}
+            }
         }
         // What was taken before the hand stood away may show it in front of the blocks.
         if self.phase == Phase::Check && seen.taken < self.settled() {
@@ -216,13 +248,18 @@ impl Servo {
         else {
             return;
         };
-        let usual = *self.usual.get_or_insert(at - sent);
+        self.sight.heard(number, self.now);
+        // Nothing begins before it is sent, whatever two clocks say.
+        let at = at.max(sent);
+        let usual = *self.usual.get_or_insert((at - sent).min(MOST_USUAL));
+        self.track.no_sooner_than(usual);
         self.motion.begun(number, at - usual);
     }
 
     /// The jaws have come to the end of what they were told; whether they hold anything.
     pub fn jaws_ended(&mut self, holding: bool, now: Micros) {
         self.now = self.now.max(now);
+        self.sight.forget_commands();
         if self.jaws.take().is_some() {
             self.after_jaws(holding);
         }
@@ -231,6 +268,7 @@ impl Servo {
     /// The arm refused a command, or ended it with this error, at this time.
     pub fn refused(&mut self, name: &str, text: &str, at: Micros, now: Micros) {
         self.now = self.now.max(now);
+        self.sight.forget_commands();
         if name == "busy" && self.jaws.is_some() {
             // The jog before it has not ended; it is sent again.
             self.jaws = None;
@@ -277,6 +315,7 @@ impl Servo {
                 phases::Step::Send(command) => {
                     self.commands += 1;
                     self.track.count(self.commands);
+                    self.sight.sent(self.commands, self.now);
                     self.sent_at.push_back((self.commands, self.now));
                     if self.sent_at.len() > 16 {
                         self.sent_at.pop_front();
@@ -288,6 +327,12 @@ impl Servo {
             }
         }
         Action::Wait
+    }
+
+    /// Whether the arm has not told the begin of a command.
+    #[must_use]
+    pub fn is_unheard(&self) -> bool {
+        self.sight.is_unheard()
     }
 
     /// Lets time pass in which nothing is decided.
@@ -331,8 +376,9 @@ impl Servo {
             miss: self.miss,
             attempts: self.attempts,
             commands: self.commands,
-            image_age: self.newest.map(|taken| (self.now - taken).max(0)),
+            image_age: self.sight.pictures_age(self.now),
             command_delay: [self.track.delay_micros(), self.track.delay_error_micros()],
+            careful: self.sight.careful().map(str::to_owned),
             corrections: self.track.corrections(),
             first: self.whereabouts(),
         }

@@ -15,6 +15,8 @@ const SPEEDS: [f64; 2] = [40.0, 140.0];
 const GENTLE: f64 = 60.0;
 /// mm by which the hand may be elsewhere because the delay is not known.
 const UNSURE: f64 = 12.0;
+/// mm that the hand goes while no newer picture comes.
+const UNSEEN: f64 = 100.0;
 /// Beyond this, pixels, what is seen is not what is expected.
 const STRANGE: f64 = 3.0;
 /// Beyond this, pixels, nothing is as it is expected.
@@ -72,10 +74,15 @@ impl Servo {
         self.now >= self.motion.end().0
     }
 
-    /// How fast the hand may go by what is known.
+    /// How fast the hand may go by what is known, and no further than [`UNSEEN`] while pictures are as old as they are.
     fn fastest(&self) -> f64 {
+        if self.sight.careful().is_some() {
+            return SPEEDS[0];
+        }
+        let age = self.sight.pictures_age(self.now).unwrap_or(0) as f64 / 1e6;
         let unknown = self.track.delay_error_micros() as f64 / 1e6;
-        let fastest = (UNSURE / unknown.max(1e-3)).clamp(SPEEDS[0], SPEEDS[1]);
+        let fastest = (UNSURE / unknown.max(1e-3)).min(UNSEEN / age.max(1e-3));
+        let fastest = fastest.clamp(SPEEDS[0], SPEEDS[1]);
         if self.phase == Phase::Lower {
             return fastest.min(GENTLE);
         }
@@ -163,6 +170,10 @@ impl Servo {
                     return Reach::Going(self.correct(seen, turn));
                 }
             }
+        }
+        if self.sight.careful().is_some() {
+            // Nothing is predicted: pictures of the resting hand lead.
+            return Reach::Going(Step::Wait);
         }
         let Some((seen, _)) = self.miss_at(aim, plan, &travel, None) else {
             return Reach::Going(Step::Wait);

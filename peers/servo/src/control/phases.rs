@@ -3,6 +3,7 @@
 use std::fmt;
 
 use super::moving::{Above, Aim, Reach};
+use super::sight::Judgement;
 use super::{ALIGNED, ATTEMPTS, Action, PARALLEL, Servo};
 use crate::Micros;
 use crate::aim::{Miss, Sightline, miss};
@@ -37,6 +38,8 @@ const LOOK: Micros = 6_000_000;
 const ALONE: Micros = 2_500_000;
 /// µs of a phase in which the hand comes nowhere.
 const STUCK: Micros = 25_000_000;
+/// A phase in which it goes carefully may take so many times as long.
+const CAREFULLY: Micros = 3;
 /// µs in which the jaws move.
 const JAWS: Micros = 8_000_000;
 /// Measured nearer than this it is surely aligned, mm.
@@ -103,6 +106,11 @@ impl Phase {
         }
     }
 
+    /// Whether pictures lead the hand.
+    const fn is_led(self) -> bool {
+        matches!(self, Phase::Approach | Phase::Descend | Phase::Carry)
+    }
+
     /// Whether the hand hides the first block, or holds it.
     pub(super) const fn hides_first(self) -> bool {
         !matches!(
@@ -122,6 +130,7 @@ impl Servo {
     pub(super) fn enter(&mut self, phase: Phase) {
         self.phase = phase;
         self.since = self.now;
+        self.slowed = false;
         self.sent = None;
         self.blind = None;
         self.touched = false;
@@ -131,9 +140,21 @@ impl Servo {
     }
 
     pub(super) fn step(&mut self) -> Step {
-        let limit = STUCK + 8 * (self.track.delay_micros() + self.now - self.newest.unwrap_or(self.now));
+        self.slowed |= self.sight.careful().is_some();
+        let usual = if self.slowed { CAREFULLY * STUCK } else { STUCK };
+        let limit = usual + 8 * (self.track.delay_micros() + self.now - self.newest.unwrap_or(self.now));
         if self.now - self.since > limit {
             return self.stuck();
+        }
+        match self.sight.judge(self.phase.is_led(), self.now) {
+            Judgement::End(why) => return Servo::fail(why),
+            Judgement::Wait => return Step::Wait,
+            Judgement::Move => {}
+        }
+        // One command at a time, to its end.
+        if self.sight.careful().is_some() && (self.sight.is_unheard() || !self.rests()) && self.jaws.is_none()
+        {
+            return Step::Wait;
         }
         match self.phase {
             Phase::Look => self.look(),

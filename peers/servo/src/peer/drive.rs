@@ -4,8 +4,10 @@ use std::collections::BTreeMap;
 use std::time::{Duration, SystemTime};
 
 use mom_client::{Channel, Client, Event, Events, Family, Parcel, Value, from_value};
-use mom_drive::{RobotState, VerbFailure, closed, refusal};
+use mom_drive::{DeviceChannel, Holding, RobotState, VerbFailure, both, closed, halt, refusal};
 use serde::Deserialize;
+use tokio::runtime::{Handle, RuntimeFlavor};
+use tokio::task::block_in_place;
 use tokio::time::{Instant, sleep};
 
 use super::Order;
@@ -14,6 +16,7 @@ use super::say;
 use super::watch::Eyes;
 use crate::Micros;
 use crate::control::{Action, Phase, Servo};
+use crate::eyes::Seen;
 use crate::task::NAMES;
 
 /// How often the controller is asked, at least.
@@ -22,8 +25,12 @@ const TICK: Duration = Duration::from_millis(40);
 const TOLD: Duration = Duration::from_millis(500);
 /// Commands that may still be reported.
 const MOST_NUMBERS: usize = 64;
-/// A command that is still on its way after this is worth nothing, ms.
-const EXPIRES: u64 = 3000;
+/// A command that is still on its way after this is worth nothing, ms: the hand is led by newer pictures.
+const EXPIRES: u64 = 1500;
+/// A robot that moves tells its state more often than this, µs.
+const RESTS: Micros = 600_000;
+/// The time of one state as two peers tell it, µs.
+const SAME: Micros = 100_000;
 
 /// Where the controller's inputs come from and its commands go.
 pub(super) struct Links {
@@ -47,6 +54,10 @@ pub(super) struct Drive {
     /// That of the command to the jaws which is under way.
     grip: Option<u64>,
     holding: bool,
+    /// Whether the robot moves, by its newest state.
+    moves: bool,
+    /// When the robot told its newest state.
+    stated: Micros,
     told: Option<(Instant, Phase)>,
 }
 
@@ -73,6 +84,15 @@ pub(super) fn hub_now(client: &Client) -> Micros {
         .unwrap_or(0)
 }
 
+/// Does what takes its time, some tenths of a second on a busy machine, beside the runtime's other work: the signs of life of the link
+/// to the hub must not wait for it.
+pub(super) fn long<T>(work: impl FnOnce() -> T) -> T {
+    match Handle::current().runtime_flavor() {
+        RuntimeFlavor::MultiThread => block_in_place(work),
+        _ => work(),
+    }
+}
+
 impl Drive {
     pub(super) fn new(links: Links, order: Order, servo: Servo, fence: u64) -> Drive {
         Drive {
@@ -84,6 +104,8 @@ impl Drive {
             numbers: BTreeMap::new(),
             grip: None,
             holding: false,
+            moves: false,
+            stated: 0,
             told: None,
         }
     }
@@ -91,7 +113,20 @@ impl Drive {
     /// Works until the blocks are aligned, and says how well.
     pub(super) async fn run(&mut self) -> Result<String, VerbFailure> {
         loop {
-            match self.servo.next(hub_now(&self.links.client)) {
+            if let Some(seen) = self.links.seen.ready() {
+                self.see(seen);
+            }
+            // Whatever has come already counts before anything is sent, or the arm is blamed for what was not read: also what came while
+            // that image took its time.
+            while let Some(event) = self.links.events.try_next() {
+                self.note(&event)?;
+            }
+            if let Some((_, error)) = self.links.client.clock().now() {
+                let error = Micros::try_from(error.as_micros()).unwrap_or(Micros::MAX / 4);
+                self.servo.round_trip(2 * error);
+            }
+            let now = hub_now(&self.links.client);
+            match long(|| self.servo.next(now)) {
                 Action::Command(command) => {
                     self.send(&command).await?;
                     continue;
@@ -105,11 +140,16 @@ impl Drive {
                 event = self.links.events.next() => self.note(&event.ok_or_else(closed)?)?,
                 seen = self.links.seen.next() => {
                     let seen = seen.ok_or_else(|| VerbFailure::plain("there is no camera any more"))?;
-                    self.servo.see(&seen);
+                    self.see(seen);
                 }
                 () = sleep(TICK) => {}
             }
         }
+    }
+
+    fn see(&mut self, seen: Seen) {
+        let shows = shown(seen.taken, seen.shows, self.stated);
+        long(|| self.servo.see(&Seen { shows, ..seen }));
     }
 
     fn aligned(&self) -> String {
@@ -152,24 +192,20 @@ impl Drive {
             Event::Message(parcel) if parcel.name() == "state" => {
                 if let Ok(state) = from_value::<RobotState>(parcel.value()) {
                     self.holding = state.holding.is_some();
+                    self.moves = state.moving;
+                    self.stated = hub_now(&self.links.client) - self.age(parcel);
                 }
             }
             Event::Message(parcel) if parcel.name() == "status" => {
                 if let Ok(status) = from_value::<CommandStatus>(parcel.value()) {
-                    let age = self
-                        .links
-                        .client
-                        .clock()
-                        .age(parcel)
-                        .map_or(0, |age| age.micros.max(0));
-                    self.note_status(&status, age);
+                    self.note_status(&status, self.age(parcel));
                 }
             }
             Event::Refused(error, _) => {
                 let now = hub_now(&self.links.client);
                 self.servo.refused(
                     "refused",
-                    &format!("the hub refused a command: {}", error.text),
+                    &format!("control: the hub refused a command: {}", error.text),
                     now,
                     now,
                 );
@@ -187,6 +223,11 @@ impl Drive {
             _ => {}
         }
         Ok(())
+    }
+
+    fn age(&self, parcel: &Parcel) -> Micros {
+        let age = self.links.client.clock().age(parcel);
+        age.map_or(0, |age| age.micros.max(0))
     }
 
     fn note_status(&mut self, status: &CommandStatus, age: Micros) {
@@ -249,6 +290,22 @@ impl Drive {
         )
     }
 
+    /// Gives the token back, so that the hub halts the robot, and hears that it stands.
+    pub(super) async fn end(mut self, holding: Holding) -> Result<(), VerbFailure> {
+        let device = DeviceChannel::join(&self.links.client, self.links.arm.path().as_str()).await?;
+        let stands = async {
+            // What comes next is newer than what was sent.
+            while self.moves || self.servo.is_unheard() {
+                match self.links.events.next().await {
+                    Some(event) => drop(self.note(&event)),
+                    None => std::future::pending().await,
+                }
+            }
+        };
+        let (released, halted) = halt(&device, holding.release(), stands).await;
+        both(released, halted.verdict(device.path().as_str()))
+    }
+
     /// The last report: why it ended, and where the first block is.
     pub(super) fn last(&mut self, state: &str, why: &str) -> Report {
         self.servo.pass(hub_now(&self.links.client));
@@ -259,8 +316,56 @@ impl Drive {
             _ => format!("{why}; {place}"),
         };
         Report {
+            reason: reason(why),
             text: Some(text),
             ..report
+        }
+    }
+}
+
+/// The word for an end that is nobody's wish: `sight: pictures are 3.5 s old, …`.
+fn reason(why: &str) -> Option<String> {
+    let (word, _) = why.split_once(": ")?;
+    ["sight", "control", "estimate"]
+        .contains(&word)
+        .then(|| word.to_owned())
+}
+
+/// When the hand was as an image shows it that was taken then, from the state of that time; `stated` is the time of the robot's newest state. A
+/// robot that rests tells nothing new; where it has told more since, the image is as old as the state that it shows.
+fn shown(taken: Micros, shows: Micros, stated: Micros) -> Micros {
+    match taken - shows > RESTS && stated <= shows + SAME {
+        true => taken,
+        false => shows,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_image_from_an_older_state_than_the_newest_is_as_old_as_that() {
+        const S: Micros = 1_000_000;
+        for (taken, shows, stated, expected, why) in [
+            (10 * S, 10 * S - 50_000, 10 * S, 10 * S - 50_000, "it moves"),
+            (10 * S, 7 * S, 7 * S, 10 * S, "it has rested since"),
+            (10 * S, 7 * S, 7 * S + 20_000, 10 * S, "two clocks tell one time"),
+            (10 * S, 7 * S, 9 * S, 7 * S, "the camera has not heard of it"),
+        ] {
+            assert_eq!(shown(taken, shows, stated), expected, "{why}");
+        }
+    }
+
+    #[test]
+    fn an_end_for_safety_has_a_word() {
+        for (why, word) in [
+            ("sight: pictures are 3.5 s old, 2.0 s is the limit", Some("sight")),
+            ("control: the arm has not begun", Some("control")),
+            ("alice cancelled it", None),
+            ("send \"home\": timed out", None),
+        ] {
+            assert_eq!(reason(why).as_deref(), word);
         }
     }
 }

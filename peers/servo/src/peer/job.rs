@@ -2,13 +2,13 @@
 
 use std::time::Duration;
 
-use mom_client::{Channel, Client, Code, Event, Events, Lost, Token, WireError, from_value};
-use mom_drive::{Holding, RobotState, VerbFailure, WorkEnd, lost_words};
+use mom_client::{Channel, Client, Code, Event, Events, Token, WireError, from_value};
+use mom_drive::{Holding, RobotState, VerbFailure, WorkEnd};
 use tokio::sync::watch as signal;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, timeout, timeout_at};
 
-use super::drive::{Drive, Links, hub_now};
+use super::drive::{Drive, Links, hub_now, long};
 use super::report::Report;
 use super::watch::Eyes;
 use super::{OFFERED, Order, ServoOptions, refuse, say, watch};
@@ -108,7 +108,7 @@ impl Places {
         for (camera, path) in options.cameras.iter().enumerate() {
             match client.channel(path).await {
                 Ok(channel) => {
-                    eyes.spawn(watch::watch(channel, camera, seen.add()));
+                    eyes.spawn(watch::watch(channel, client.clock(), camera, seen.add()));
                 }
                 Err(error) => tracing::warn!(%error, path, "a camera is left out"),
             }
@@ -156,10 +156,10 @@ impl Places {
             let Ok(Some(seen)) = timeout_at(until, self.seen.next()).await else {
                 break;
             };
-            servo.see(&seen);
+            long(|| servo.see(&seen));
             let camera = seen.camera;
             images[camera] = Some(seen);
-            if images.iter().all(Option::is_some) && servo.feasible(hub_now(client)).is_ok() {
+            if images.iter().all(Option::is_some) && long(|| servo.feasible(hub_now(client))).is_ok() {
                 break;
             }
         }
@@ -169,7 +169,7 @@ impl Places {
             return Err(later(format!("no camera shows an image with a matrix: {paths}")));
         }
         for block in [order.task.first, order.task.second] {
-            if let Some(height) = stands_high(&images, block) {
+            if let Some(height) = long(|| stands_high(&images, block)) {
                 let name = NAMES[block].0;
                 return Err(later(format!(
                     "{name} is {height:.0} mm above the table; both blocks must stand on it"
@@ -230,11 +230,6 @@ impl Places {
                 return report;
             }
         };
-        let path = self.token.path().to_string();
-        let scope = holding
-            .guard()
-            .delegation()
-            .map(|loan| (loan.time, loan.commands));
         let state = tokio::select! {
             state = self.state(true) => state,
             why = wanted(cancelled.clone()) => Err(VerbFailure::plain(why)),
@@ -261,7 +256,7 @@ impl Places {
             WorkEnd::Ended(Ok(words)) => ("aligned", words),
             WorkEnd::Ended(Err(failure)) => ("failed", failure.to_string()),
             WorkEnd::Interrupted => ("cancelled", wanted(cancelled).await),
-            WorkEnd::Lost(lost) => ("lost", ending(&path, &lost, scope)),
+            WorkEnd::Lost(lost) => ("lost", holding.lost_words(&lost)),
         };
         let report = match &mut drive {
             Some(drive) => drive.last(state, &why),
@@ -272,10 +267,23 @@ impl Places {
         };
         // Before the token returns, so that its next owner knows.
         say(channel, "progress", report.to_map(), None).await;
-        if let Err(error) = holding.release().await {
-            tracing::warn!(%error, "the token was not released");
+        let ended = match drive {
+            Some(drive) => drive.end(holding).await,
+            None => holding.release().await,
+        };
+        match ended {
+            Ok(()) => report,
+            Err(failure) => {
+                // Whoever is near has to know.
+                let text = format!("{}; {failure}", report.text.clone().unwrap_or_default());
+                let report = Report {
+                    text: Some(text),
+                    ..report
+                };
+                say(channel, "progress", report.to_map(), None).await;
+                report
+            }
         }
-        report
     }
 
     /// The token, once the peer of the task offers it.
@@ -303,21 +311,6 @@ impl Places {
             }
         }
     }
-}
-
-type Scope = (Option<Duration>, Option<u64>);
-
-/// Why the token is gone.
-fn ending(path: &str, lost: &Lost, scope: Option<Scope>) -> String {
-    let Some((time, commands)) = scope.filter(|_| lost.reason == "returned" && lost.by.is_none()) else {
-        return lost_words(path, lost);
-    };
-    let limits = [
-        time.map(|time| format!("{} s", time.as_secs())),
-        commands.map(|count| format!("{count} commands")),
-    ];
-    let limits: Vec<String> = limits.into_iter().flatten().collect();
-    format!("the scope is used up: {}", limits.join(" or "))
 }
 
 /// What of the arm's state no image shows.

@@ -57,6 +57,12 @@ pub struct Report {
         skip_serializing_if = "Option::is_none"
     )]
     pub command_delay_error: Option<i64>,
+    /// Why it goes carefully, if it does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub careful: Option<String>,
+    /// What it ended for, where it could not go on safely: `sight`, `control` or `estimate`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
     /// By how many degrees each camera's matrix is corrected.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub corrections: Vec<f64>,
@@ -85,6 +91,8 @@ impl Report {
             image_age_error: None,
             command_delay: None,
             command_delay_error: None,
+            careful: None,
+            reason: None,
             corrections: Vec::new(),
             first: None,
             text: None,
@@ -111,6 +119,7 @@ impl Report {
             image_age_error: error,
             command_delay: Some(delay),
             command_delay_error: Some(delay_error),
+            careful: progress.careful.clone(),
             corrections: progress.corrections.iter().copied().map(tenth).collect(),
             first: Some(first.to_owned()),
             text: Some(format!("{} {}", NAMES[task.first].0, progress.first)),
@@ -148,6 +157,9 @@ impl Report {
             words.push(format!("commands take {delay} ± {error} ms"));
         }
         words.push(format!("{} commands", self.commands));
+        if let Some(why) = &self.careful {
+            words.push(format!("carefully: {why}"));
+        }
         words.join("  ")
     }
 }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use mom_client::{Channel, Event, Events, Map, Parcel, Value};
+use mom_client::{Channel, Event, Events, HubClock, Map, Parcel, Value};
 use mom_vision::{Picture, Projection};
 use tokio::sync::watch as signal;
 use tokio::task::spawn_blocking;
@@ -12,8 +12,8 @@ use crate::eyes::Seen;
 
 /// A camera that sends nothing is asked after this time; one that does not answer, again.
 const ASK: Duration = Duration::from_millis(250);
-/// A robot that moves tells its state more often than this, µs.
-const RESTS: i64 = 600_000;
+/// Where the hub does not know the camera's clock, its times may be wrong by so much, µs.
+const UNKNOWN: i64 = 500_000;
 /// How often is looked whether there is one.
 const LOOK: Duration = Duration::from_millis(10);
 /// Images are looked at no more often.
@@ -35,19 +35,27 @@ impl Eyes {
         sender
     }
 
+    /// An image that has come, of any camera.
+    pub(super) fn ready(&mut self) -> Option<Seen> {
+        let count = self.cameras.len();
+        for step in 1..=count {
+            let camera = (self.last + step) % count;
+            let eye = &mut self.cameras[camera];
+            if eye.has_changed().unwrap_or(false)
+                && let Some(seen) = eye.borrow_and_update().clone()
+            {
+                self.last = camera;
+                return Some(seen);
+            }
+        }
+        None
+    }
+
     /// The next image of any camera; none where there is no camera any more. Cancel safe.
     pub(super) async fn next(&mut self) -> Option<Seen> {
         loop {
-            let count = self.cameras.len();
-            for step in 1..=count {
-                let camera = (self.last + step) % count;
-                let eye = &mut self.cameras[camera];
-                if eye.has_changed().unwrap_or(false)
-                    && let Some(seen) = eye.borrow_and_update().clone()
-                {
-                    self.last = camera;
-                    return Some(seen);
-                }
+            if let Some(seen) = self.ready() {
+                return Some(seen);
             }
             if self.cameras.iter().all(|eye| eye.has_changed().is_err()) {
                 return None;
@@ -58,7 +66,12 @@ impl Eyes {
 }
 
 /// Looks through a camera until nobody wants it any more.
-pub(super) async fn watch(channel: Channel, camera: usize, seen: signal::Sender<Option<Seen>>) {
+pub(super) async fn watch(
+    channel: Channel,
+    clock: HubClock,
+    camera: usize,
+    seen: signal::Sender<Option<Seen>>,
+) {
     let mut events = channel.events();
     let mut asked: Option<Instant> = None;
     loop {
@@ -82,7 +95,9 @@ pub(super) async fn watch(channel: Channel, camera: usize, seen: signal::Sender<
         let Some(image) = image else { return };
         // The next one is asked for when none comes by itself.
         asked = Some(Instant::now());
-        let looked = spawn_blocking(move || look(camera, &image)).await;
+        let error = clock.age(&image).and_then(|age| age.error_micros);
+        let error = error.map_or(UNKNOWN, |error| i64::try_from(error).unwrap_or(i64::MAX));
+        let looked = spawn_blocking(move || look(camera, error, &image)).await;
         match looked {
             Ok(Ok(found)) => {
                 // The newest one counts.
@@ -117,7 +132,7 @@ async fn newest(events: &mut Events) -> Option<Parcel> {
 }
 
 /// What an image shows; in words, why it tells nothing.
-pub(super) fn look(camera: usize, image: &Parcel) -> Result<Seen, String> {
+pub(super) fn look(camera: usize, error: i64, image: &Parcel) -> Result<Seen, String> {
     let content = image.value();
     let taken = content.get("taken").and_then(Value::as_time);
     let taken = taken.ok_or("it does not tell when it was taken")?;
@@ -125,11 +140,9 @@ pub(super) fn look(camera: usize, image: &Parcel) -> Result<Seen, String> {
     let bytes = content.get("image").and_then(Value::as_binary);
     let picture = Picture::decode(bytes.ok_or("there is no image in it")?)?;
     let shows = content.get("pose-time").and_then(Value::as_time).unwrap_or(taken);
-    // A robot that rests tells nothing new.
-    let lag = taken.micros() - shows.micros();
-    let shows = if (0..RESTS).contains(&lag) { shows } else { taken };
     Ok(Seen {
-        shows: shows.micros(),
+        shows: shows.micros().min(taken.micros()),
+        error,
         ..Seen::look(camera, taken.micros(), projection, &picture)
     })
 }
