@@ -51,14 +51,14 @@ impl Default for ArmOptions {
 }
 
 impl ArmOptions {
-    /// The lab's simulated arm, on its table.
-    fn arm(&self) -> Arm {
+    /// The controller of the lab's simulated arm, on its table.
+    #[must_use]
+    pub fn controller(&self) -> Simulated {
         let controller = Simulated::new(0, Block::lab());
-        let controller = match self.link_fault {
+        match self.link_fault {
             Some(fault) => controller.failing(fault),
             None => controller,
-        };
-        Arm::with_controller(0, Box::new(controller))
+        }
     }
 }
 
@@ -85,7 +85,7 @@ pub async fn run(
     options: ArmOptions,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), ClientError> {
-    let arm = options.arm();
+    let arm = Arm::with_controller(0, Box::new(options.controller()));
     run_arm(client, options, arm, shutdown).await
 }
 

@@ -8,6 +8,7 @@ use mom_rsp::robot::{Outgoing, Played, Playout, PlayoutCounts};
 use mom_rsp::typed::{Named as _, Unsent};
 use mom_rsp::{FRAGMENT, Fragment, Sound};
 use mom_sound::Decoder;
+use mom_trace::Trace;
 use mom_wheels::{Chassis, Driver, Floor, Motors, Pose, Power, Simulated, WheelTime, eye, switch};
 
 use crate::End;
@@ -80,6 +81,8 @@ pub struct Cubo {
     pub doings: Doings,
     /// Whether its camera is active.
     sees: bool,
+    /// Where it is written where wheels, arms and head are.
+    trace: Option<Trace>,
 }
 
 /// What the body did.
@@ -143,6 +146,7 @@ impl Cubo {
             raised: VecDeque::new(),
             doings: Doings::default(),
             sees: true,
+            trace: None,
         })
     }
 
@@ -162,8 +166,30 @@ impl Cubo {
         }
     }
 
+    /// Has it be written from now on where it is: x and y in mm, where it looks, and the angles of left arm, right arm and head in degrees.
+    pub fn trace(&mut self, trace: Trace) {
+        self.trace = Some(trace);
+    }
+
     /// Lets time pass until `now`, µs.
     pub fn advance(&mut self, now: WheelTime) {
+        if let Some(mut trace) = self.trace.take() {
+            trace.until(now, |at| {
+                self.pass(at);
+                let pose = self.wheels.pose(self.now);
+                let Joints {
+                    left_arm,
+                    right_arm,
+                    head_tilt,
+                } = self.posture;
+                [pose.x, pose.y, pose.heading, left_arm.0, right_arm.0, head_tilt.0]
+            });
+            self.trace = Some(trace);
+        }
+        self.pass(now);
+    }
+
+    fn pass(&mut self, now: WheelTime) {
         let seconds = (now - self.now).max(0) as f64 / 1e6;
         self.now = self.now.max(now);
         if self.gesture.is_some_and(|(_, until)| now >= until) {

@@ -1,0 +1,163 @@
+//! The motion oracle: devices of lab, fleet and CUBO in worlds that freeze, cut, slow, stop, kill and hand over, by seeds, and what their bodies do.
+//!
+//! `MOM_ORACLE_TRIALS` says how many trials there are of each device, `MOM_ORACLE_SEED` which is the first (or the only one, with
+//! `MOM_ORACLE_TRIALS=1`), `MOM_ORACLE_DEVICE` which device alone.
+
+mod body;
+mod log;
+mod planted;
+mod rules;
+mod trial;
+mod world;
+
+use std::collections::BTreeMap;
+
+use planted::Plant;
+use tokio::task::JoinSet;
+use trial::{Outcome, Trials};
+use world::Kind;
+
+/// Trials of each device in a normal run.
+const TRIALS: u64 = 20;
+/// Worlds of each device at once.
+const SIDE_BY_SIDE: u64 = 2;
+/// Trials within which each fault has to be found.
+const FOUND_WITHIN: u64 = 40;
+
+fn asked(name: &str) -> Option<u64> {
+    std::env::var(name).ok().and_then(|text| text.parse().ok())
+}
+
+/// What came of all trials of one kind of device.
+#[derive(Debug, Default)]
+struct Count {
+    trials: u64,
+    unjudged: u64,
+    stories: Vec<String>,
+    rules: BTreeMap<String, u64>,
+}
+
+impl Count {
+    fn add(&mut self, kind: Kind, outcome: &Outcome) {
+        self.trials += 1;
+        if let Some(why) = &outcome.unjudged {
+            self.unjudged += 1;
+            eprintln!("{kind:?} {}: not judged: {why}", outcome.seed);
+            return;
+        }
+        for violation in &outcome.violations {
+            *self.rules.entry(format!("{:?}", violation.rule)).or_default() += 1;
+        }
+        if !outcome.violations.is_empty() {
+            self.stories.push(outcome.story(kind));
+        }
+    }
+}
+
+async fn try_all(kind: Kind, first: u64, trials: u64) -> Count {
+    let mut count = Count::default();
+    let mut world = Trials::of(kind, first).await;
+    for seed in first..first + trials {
+        let outcome = world.run(seed).await;
+        count.add(kind, &outcome);
+    }
+    count
+}
+
+/// No body does what it may not, whatever happens to its programs and networks.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn no_body_moves_that_may_not() {
+    let first = asked("MOM_ORACLE_SEED").unwrap_or(1);
+    let trials = asked("MOM_ORACLE_TRIALS").unwrap_or(TRIALS);
+    let only = std::env::var("MOM_ORACLE_DEVICE").ok();
+    let mut worlds = JoinSet::new();
+    for kind in Kind::ALL {
+        if only.as_ref().is_some_and(|only| *only != kind.spec().name) {
+            continue;
+        }
+        let side_by_side = asked("MOM_ORACLE_WORLDS").unwrap_or(SIDE_BY_SIDE).min(trials);
+        for world in 0..side_by_side {
+            let from = first + trials * world / side_by_side;
+            let to = first + trials * (world + 1) / side_by_side;
+            worlds.spawn(async move { (kind, try_all(kind, from, to - from).await) });
+        }
+    }
+    let mut all: BTreeMap<&str, Count> = BTreeMap::new();
+    while let Some(ended) = worlds.join_next().await {
+        let (kind, count) = ended.expect("a world");
+        let sum = all.entry(kind.spec().name).or_default();
+        sum.trials += count.trials;
+        sum.unjudged += count.unjudged;
+        sum.stories.extend(count.stories);
+        for (rule, times) in count.rules {
+            *sum.rules.entry(rule).or_default() += times;
+        }
+    }
+    for (name, count) in &all {
+        eprintln!(
+            "{name}: {} trials, {} not judged, {} with violations {:?}",
+            count.trials,
+            count.unjudged,
+            count.stories.len(),
+            count.rules
+        );
+    }
+    let stories: Vec<&String> = all.values().flat_map(|count| &count.stories).collect();
+    for story in &stories {
+        eprintln!("{story}\n");
+    }
+    assert!(stories.is_empty(), "{} trials with violations", stories.len());
+    let (trials, unjudged) = all.values().fold((0, 0), |(trials, unjudged), count| {
+        (trials + count.trials, unjudged + count.unjudged)
+    });
+    assert!(
+        unjudged * 5 <= trials,
+        "{unjudged} of {trials} trials could not be judged"
+    );
+}
+
+async fn finds(plant: Plant, first: u64) -> Option<(u64, String)> {
+    let kind = Kind::Planted(plant);
+    let mut world = Trials::of(kind, first).await;
+    for seed in first..first + FOUND_WITHIN {
+        let outcome = world.run(seed).await;
+        if outcome.unjudged.is_none() && !outcome.violations.is_empty() {
+            let rules: Vec<String> = outcome
+                .violations
+                .iter()
+                .map(|found| format!("{:?}", found.rule))
+                .collect();
+            if plant == Plant::Nothing {
+                return Some((seed - first + 1, outcome.story(kind)));
+            }
+            return Some((seed - first + 1, rules.join(", ")));
+        }
+    }
+    None
+}
+
+/// A device with one fault does in some trial what it may not; the same one without a fault does not.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn each_planted_fault_is_found_and_nothing_where_none_is() {
+    let first = asked("MOM_ORACLE_SEED").unwrap_or(1);
+    let mut worlds = JoinSet::new();
+    for plant in Plant::FAULTS.into_iter().chain([Plant::Nothing]) {
+        worlds.spawn(async move { (plant, finds(plant, first).await) });
+    }
+    let mut missed = Vec::new();
+    while let Some(ended) = worlds.join_next().await {
+        let (plant, found) = ended.expect("a world");
+        eprintln!(
+            "{plant:?}: {}",
+            found
+                .as_ref()
+                .map_or("not found".to_owned(), |(trials, what)| format!(
+                    "in trial {trials}: {what}"
+                ))
+        );
+        if found.is_some() == (plant == Plant::Nothing) {
+            missed.push(plant);
+        }
+    }
+    assert!(missed.is_empty(), "{missed:?}");
+}

@@ -1,0 +1,429 @@
+//! The oracle: what a body may not do, as a function of what was seen.
+//!
+//! Times of words are those of their arrival in the test, so what a word promises held no later than that; times of bodies are those of their traces.
+//! So each bound is counted from a time at or after the one that it is about, and a body that is late by a bound is late indeed.
+
+use std::fmt;
+
+use super::body::{Look, Motion, looks, motions};
+use super::log::{Hindered, Log, Micros, Seen};
+
+/// A device hears at the latest so long after it was last heard of that its link is lost: three of its signs of life.
+pub(super) const GONE: Micros = 1_500_000;
+/// One way to and fro between device and hub, over the slowest network of a trial.
+pub(super) const ROUND_TRIP: Micros = 300_000;
+/// What a busy machine may add to any time, beside what it adds to this process.
+const SLACK: Micros = 150_000;
+/// Trials in which this process itself stood still for longer are not judged.
+pub(super) const MOST_PAUSE: Micros = 250_000;
+
+/// What is declared of a device.
+#[derive(Debug, Clone)]
+pub(super) struct Spec {
+    pub(super) name: &'static str,
+    /// How far each number of its place may change in 30 ms at rest, and which of them goes on at 360°.
+    pub(super) least: Vec<f64>,
+    pub(super) turns: Option<usize>,
+    /// By how much each may differ while it rests by its word.
+    pub(super) tolerance: Vec<f64>,
+    /// Within which it stands once it has been stopped.
+    pub(super) stopping: Micros,
+    /// How long what moves it goes on by itself when its program stands still; none: as long as its command says.
+    pub(super) hold: Option<Micros>,
+    /// How long it has rested before a new owner's first motion.
+    pub(super) rests_first: Micros,
+}
+
+/// What a body may not do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub(super) enum Rule {
+    BeginsAfterStopped,
+    RollsOnAfterStopped,
+    BeginsAfterStop,
+    RollsOnAfterStop,
+    OldOwner,
+    FirstMotionAtRest,
+    MovesAtRest,
+    WrongPlace,
+    LinkLost,
+    ProgramStandsStill,
+    Deadline,
+}
+
+/// One thing that a body did and may not do.
+#[derive(Debug, Clone)]
+pub(super) struct Violation {
+    pub(super) rule: Rule,
+    pub(super) at: Micros,
+    pub(super) words: String,
+}
+
+impl fmt::Display for Violation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:?} at {}: {}", self.rule, self.at, self.words)
+    }
+}
+
+/// One body of a trial.
+struct Body<'a> {
+    spec: &'a Spec,
+    log: &'a Log,
+    samples: &'a [super::log::Sample],
+    looks: Vec<Look>,
+    motions: Vec<Motion>,
+    slack: Micros,
+}
+
+/// Everything that the bodies of a trial did and may not do.
+pub(super) fn judge(log: &Log, spec: &Spec) -> Vec<Violation> {
+    let mut found = Vec::new();
+    for samples in &log.bodies {
+        let looks = looks(samples, &spec.least, spec.turns);
+        let motions = motions(&looks, spec.least[0]);
+        let slack = SLACK + 2 * log.pause;
+        let body = Body {
+            spec,
+            log,
+            samples,
+            looks,
+            motions,
+            slack,
+        };
+        body.stops(&mut found);
+        body.words_of_stops(&mut found);
+        body.owners(&mut found);
+        body.rests(&mut found);
+        body.hindered(&mut found);
+        body.deadlines(&mut found);
+    }
+    found.sort_by_key(|violation| (violation.at, violation.rule));
+    found
+}
+
+impl Body<'_> {
+    fn seen(&self) -> impl DoubleEndedIterator<Item = (Micros, &Seen)> {
+        self.log.seen.iter().map(|(at, seen)| (*at, seen))
+    }
+
+    fn add(&self, found: &mut Vec<Violation>, rule: Rule, at: Micros, words: String) {
+        found.push(Violation { rule, at, words });
+    }
+
+    /// When a stop is lifted.
+    fn freed(&self, stop: u64) -> Micros {
+        let lifts = |(at, seen): (Micros, &Seen)| match seen {
+            Seen::Unstop { number } if *number >= stop => Some(at),
+            _ => None,
+        };
+        self.seen().find_map(lifts).unwrap_or(Micros::MAX)
+    }
+
+    /// The first motion that begins within these times.
+    fn begins(&self, from: Micros, to: Micros) -> Option<&Motion> {
+        let mut motions = self.motions.iter();
+        motions.find(|motion| motion.since > from && motion.since < to)
+    }
+
+    /// When it is first seen to move within these times.
+    fn moves(&self, from: Micros, to: Micros) -> Option<Micros> {
+        let mut looks = self.looks.iter();
+        let moves = looks.find(|look| look.from > from && look.at < to && look.speed > 1.0);
+        moves.map(|look| look.at)
+    }
+
+    /// When which of these was hindered.
+    fn hindrances(&self, which: &[Hindered]) -> Vec<(Hindered, Micros, Micros)> {
+        let mut all = Vec::new();
+        for (at, seen) in self.seen() {
+            let Seen::Hinder { what, begins } = seen else {
+                continue;
+            };
+            if !which.contains(what) {
+                continue;
+            }
+            if *begins {
+                all.push((*what, at, Micros::MAX));
+            } else if let Some(open) = all
+                .iter_mut()
+                .rev()
+                .find(|(open, _, to)| open == what && *to == Micros::MAX)
+            {
+                open.2 = at;
+            }
+        }
+        all
+    }
+
+    /// Whether any of these was hindered within these times, or so shortly before that it is felt.
+    fn is_hindered(&self, which: &[Hindered], from: Micros, to: Micros) -> bool {
+        let all = self.hindrances(which);
+        all.iter()
+            .any(|(_, begin, end)| *begin < to && end.saturating_add(ROUND_TRIP + self.slack) > from)
+    }
+
+    /// How long the body may go on when its program, or the way to it, is hindered.
+    fn hold(&self, from: Micros, to: Micros) -> Option<Micros> {
+        match self.is_hindered(&[Hindered::Program, Hindered::Wire], from, to) {
+            true => self.spec.hold,
+            false => Some(0),
+        }
+    }
+
+    /// After the hub's receipt of a stop.
+    fn stops(&self, found: &mut Vec<Violation>) {
+        for (at, seen) in self.seen() {
+            let Seen::Stop { number } = seen else { continue };
+            let free = self.freed(*number);
+            let bound = at + GONE + ROUND_TRIP + self.slack;
+            if let Some(motion) = self.begins(bound, free) {
+                let late = (motion.since - at) / 1000;
+                let words = format!("a motion begins {late} ms after the hub took stop {number}");
+                self.add(found, Rule::BeginsAfterStop, motion.since, words);
+            }
+            let Some(hold) = self.hold(at, bound + self.spec.stopping) else {
+                continue;
+            };
+            let bound = bound + self.spec.stopping + hold;
+            if let Some(moves) = self.moves(bound, free) {
+                let late = (moves - at) / 1000;
+                let words = format!("it moves {late} ms after the hub took stop {number}");
+                self.add(found, Rule::RollsOnAfterStop, moves, words);
+            }
+        }
+    }
+
+    /// After the device's own word that it is stopped, by a stop that holds.
+    fn words_of_stops(&self, found: &mut Vec<Violation>) {
+        let mut known: Option<u64> = None;
+        for (at, seen) in self.seen() {
+            let Seen::State {
+                stopped: true, stop, ..
+            } = seen
+            else {
+                continue;
+            };
+            let free = self.freed(*stop);
+            let ours = self
+                .seen()
+                .any(|(_, seen)| matches!(seen, Seen::Stop { number } if number == stop));
+            if !ours || free <= at || known == Some(*stop) {
+                continue;
+            }
+            known = Some(*stop);
+            if let Some(motion) = self.begins(at + self.slack, free) {
+                let late = (motion.since - at) / 1000;
+                let words = format!("a motion begins {late} ms after the device said that stop {stop} holds");
+                self.add(found, Rule::BeginsAfterStopped, motion.since, words);
+            }
+            let most = at + self.spec.stopping;
+            let Some(hold) = self.hold(at - GONE, most) else {
+                continue;
+            };
+            if let Some(moves) = self.moves(most + hold + self.slack, free) {
+                let late = (moves - at) / 1000;
+                let words = format!("it moves {late} ms after the device said that stop {stop} holds");
+                self.add(found, Rule::RollsOnAfterStopped, moves, words);
+            }
+        }
+    }
+
+    /// Which way the body moves by commands of this owner, if it has sent any before.
+    fn way_of(&self, owner: &str, before: Micros) -> Option<f64> {
+        let of = |(at, seen): (Micros, &Seen)| match seen {
+            Seen::Command { owner: who, ways } if who == owner && at < before => Some(*ways),
+            _ => None,
+        };
+        self.seen().rev().find_map(of)
+    }
+
+    /// What changes hands.
+    fn owners(&self, found: &mut Vec<Violation>) {
+        let grants: Vec<(Micros, &str, u64)> = self
+            .seen()
+            .filter_map(|(at, seen)| match seen {
+                Seen::Grant { owner, fence } => Some((at, owner.as_str(), *fence)),
+                _ => None,
+            })
+            .collect();
+        let all = [Hindered::Link, Hindered::Wire, Hindered::Program, Hindered::Hub];
+        for (index, (at, owner, fence)) in grants.iter().enumerate() {
+            let next = grants.get(index + 1).map_or(Micros::MAX, |(at, ..)| *at);
+            let before = grants.get(..index).and_then(<[_]>::last);
+            let Some((_, old, _)) = before.filter(|(_, old, _)| old != owner) else {
+                continue;
+            };
+            let Some(theirs) = self.way_of(old, *at) else {
+                continue;
+            };
+            if self.way_of(owner, Micros::MAX) == Some(theirs) {
+                continue;
+            }
+            for motion in &self.motions {
+                let is_theirs = motion.way * theirs > 3.0 * self.spec.least[0];
+                if motion.since <= *at || motion.since >= next || !is_theirs {
+                    continue;
+                }
+                let hindered = self.is_hindered(&all, *at - GONE, motion.since);
+                let grace = if hindered { GONE } else { 0 };
+                if motion.since > at + grace + ROUND_TRIP + self.slack {
+                    let late = (motion.since - at) / 1000;
+                    let words = format!(
+                        "a motion {old}'s way begins {late} ms after {owner} was granted fence {fence}"
+                    );
+                    self.add(found, Rule::OldOwner, motion.since, words);
+                }
+            }
+            let new = self.motions.iter().enumerate().find(|(_, motion)| {
+                motion.since > *at && motion.since < next && motion.way * theirs < -3.0 * self.spec.least[0]
+            });
+            if let Some((place, motion)) = new
+                && let Some(last) = place.checked_sub(1).and_then(|last| self.motions.get(last))
+                && last.way * theirs > 0.0
+                && last.until > *at - 100_000
+                && motion.since - last.until < self.spec.rests_first
+            {
+                let rested = (motion.since - last.until) / 1000;
+                let words = format!("{owner}'s first motion begins {rested} ms after the end of {old}'s");
+                self.add(found, Rule::FirstMotionAtRest, motion.since, words);
+            }
+        }
+    }
+
+    /// Whether nothing can be under way at the device: all commands have ended, or it obeys a stop.
+    fn is_idle(&self, at: Micros) -> bool {
+        let mut open = 0_i64;
+        for (time, seen) in self.seen() {
+            match seen {
+                Seen::Command { .. } if time <= at => open += 1,
+                Seen::Ended { .. } if time <= at => open -= 1,
+                _ => {}
+            }
+        }
+        open <= 0
+    }
+
+    /// When something new may begin after this time.
+    fn disturbed(&self, after: Micros) -> Micros {
+        let disturbs = |(at, seen): (Micros, &Seen)| {
+            let disturbs = matches!(seen, Seen::Command { .. } | Seen::Unstop { .. });
+            (at > after && disturbs).then_some(at)
+        };
+        self.seen().find_map(disturbs).unwrap_or(Micros::MAX)
+    }
+
+    /// While it rests by its word.
+    fn rests(&self, found: &mut Vec<Violation>) {
+        let mut judged = 0;
+        for (at, seen) in self.seen() {
+            let Seen::State {
+                stopped,
+                stop,
+                moving: false,
+                rests: true,
+                at: told,
+            } = seen
+            else {
+                continue;
+            };
+            let holds = *stopped && self.freed(*stop) > at && *stop > 0;
+            if at < judged || !(holds || self.is_idle(at)) {
+                continue;
+            }
+            let until = self.disturbed(at);
+            let within = |sample: &&super::log::Sample| sample.at >= at && sample.at < until;
+            let Some(first) = self.samples.iter().find(within) else {
+                continue;
+            };
+            judged = until;
+            for sample in self.samples.iter().filter(within) {
+                let far = |index: usize| {
+                    let change = (sample.place[index] - first.place[index]).abs();
+                    match self.spec.turns == Some(index) {
+                        true => change.min(360.0 - change),
+                        false => change,
+                    }
+                };
+                let index =
+                    (0..self.spec.tolerance.len()).find(|index| far(*index) > self.spec.tolerance[*index]);
+                if let Some(index) = index {
+                    let (far, late) = (far(index), (sample.at - at) / 1000);
+                    let words = format!(
+                        "number {index} of its place is off by {far:.1} within {late} ms of its word that it rests"
+                    );
+                    self.add(found, Rule::MovesAtRest, sample.at, words);
+                    break;
+                }
+            }
+            if let Some(told) = told
+                && (told - first.place[0]).abs() > self.spec.tolerance[0] + 1.0
+            {
+                let words = format!("it says that it rests at {told}, and is at {}", first.place[0]);
+                self.add(found, Rule::WrongPlace, first.at, words);
+            }
+        }
+    }
+
+    /// While its link or its program is hindered.
+    fn hindered(&self, found: &mut Vec<Violation>) {
+        for (_, begin, end) in self.hindrances(&[Hindered::Link, Hindered::Hub]) {
+            let bound = begin + GONE + ROUND_TRIP + self.slack;
+            let Some(hold) = self.hold(begin, end.min(bound + self.spec.stopping)) else {
+                continue;
+            };
+            let moves = self.moves(bound + self.spec.stopping + hold, end);
+            let begins = self.begins(bound, end).map(|motion| motion.since);
+            if let Some(at) = moves.into_iter().chain(begins).min() {
+                let words = format!("it moves {} ms after its link was lost", (at - begin) / 1000);
+                self.add(found, Rule::LinkLost, at, words);
+            }
+        }
+        let Some(hold) = self.spec.hold else { return };
+        for (_, begin, end) in self.hindrances(&[Hindered::Program]) {
+            let bound = begin + hold + self.spec.stopping + self.slack;
+            if let Some(at) = self.moves(bound, end) {
+                let words = format!(
+                    "it moves {} ms after its program stood still",
+                    (at - begin) / 1000
+                );
+                self.add(found, Rule::ProgramStandsStill, at, words);
+            }
+        }
+    }
+
+    /// Beyond the time that the last statement takes.
+    fn deadlines(&self, found: &mut Vec<Violation>) {
+        for (at, seen) in self.seen() {
+            let Seen::Last { owner, lasts } = seen else {
+                continue;
+            };
+            let way = self.way_of(owner, at);
+            let most = at + lasts + self.spec.hold.unwrap_or(0) + self.spec.stopping + self.slack;
+            let others = self.seen().any(|(time, seen)| {
+                time > at - GONE
+                    && time < most + GONE
+                    && matches!(seen, Seen::Command { .. })
+                    && time != at
+                    && time > at
+            });
+            let earlier = self
+                .seen()
+                .filter(|(time, seen)| *time <= at && matches!(seen, Seen::Command { .. }))
+                .count();
+            let ended = self
+                .seen()
+                .filter(|(time, seen)| *time <= at && matches!(seen, Seen::Ended { .. }))
+                .count();
+            if others || earlier > ended + 1 {
+                continue;
+            }
+            if let Some(moves) = self.moves(most, self.disturbed(at)) {
+                let words = format!(
+                    "it moves {} ms after it began what takes {} ms ({way:?})",
+                    (moves - at) / 1000,
+                    lasts / 1000
+                );
+                self.add(found, Rule::Deadline, moves, words);
+            }
+        }
+    }
+}
