@@ -53,8 +53,11 @@ impl Trace {
     }
 
     /// Writes where the body was, by `place`, from the latest call until `now`. `place` is asked for times in their order, none of them
-    /// later than `now`.
+    /// later than `now`. A program's time begins at 0, and what it calls before that begins is not written.
     pub fn until<const N: usize>(&mut self, now: i64, mut place: impl FnMut(i64) -> [f64; N]) {
+        if now <= 0 {
+            return;
+        }
         self.ahead = self.ahead.min(monotonic().saturating_sub(now));
         let first = *self.next.get_or_insert(now);
         let mut at = first.max(now.saturating_sub(MOST));
@@ -102,6 +105,7 @@ mod tests {
         let file = folder.path().join("trace");
         let mut trace = Trace::open(&file).unwrap();
         let before = monotonic();
+        trace.until(0, |at| [at as f64]);
         trace.until(5_000, |at| [at as f64]);
         trace.until(4_000, |at| [at as f64]);
         trace.until(36_000, |at| [at as f64, 1.0]);
@@ -120,8 +124,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("trace");
         let mut trace = Trace::open(&file).unwrap();
-        trace.until(0, |_| [0.0]);
-        trace.until(3_600_000_000, |_| [0.0]);
+        trace.until(1, |_| [0.0]);
+        trace.until(3_600_000_001, |_| [0.0]);
         assert_eq!(lines(&file).len(), 1 + 1 + 6_001);
         Trace::open(&file).unwrap();
         assert_eq!(lines(&file).len(), 1 + 1 + 6_001 + 1, "a body behind the other");

@@ -29,10 +29,8 @@ pub(super) enum Hindered {
     Link,
     /// That between the device's program and its robot.
     Wire,
-    /// The program of the device, or one that stands between it and its robot, is stopped (SIGSTOP), killed or restarted.
-    Program,
-    /// The hub is.
-    Hub,
+    /// This program of the world is stopped (SIGSTOP) or dead; the first is the hub.
+    Program(usize),
 }
 
 /// What the test did or heard. The time beside it is when that was over or heard: what it names had happened by then.

@@ -321,7 +321,7 @@ impl Device {
         let now = self.body.now;
         match reaction {
             Reaction::Stop(_) => match self.plant {
-                Plant::ObeysStopLate => self.later = Some((now + LATE, Later::Latch)),
+                Plant::ObeysStopLate => self.later = self.later.or(Some((now + LATE, Later::Latch))),
                 Plant::SaysStoppedBefore => {
                     self.later = Some((now + ROLLS, Later::Halt));
                     self.tell();

@@ -64,6 +64,16 @@ impl fmt::Display for Violation {
     }
 }
 
+/// What keeps the device from its hub.
+fn is_hubs(what: Hindered) -> bool {
+    matches!(what, Hindered::Link | Hindered::Program(0))
+}
+
+/// What keeps the device's program from what it moves.
+fn is_robots(what: Hindered) -> bool {
+    matches!(what, Hindered::Wire | Hindered::Program(1..))
+}
+
 /// One body of a trial.
 struct Body<'a> {
     spec: &'a Spec,
@@ -132,17 +142,21 @@ impl Body<'_> {
     }
 
     /// When which of these was hindered.
-    fn hindrances(&self, which: &[Hindered]) -> Vec<(Hindered, Micros, Micros)> {
+    fn hindrances(&self, which: fn(Hindered) -> bool) -> Vec<(Hindered, Micros, Micros)> {
         let mut all = Vec::new();
         for (at, seen) in self.seen() {
             let Seen::Hinder { what, begins } = seen else {
                 continue;
             };
-            if !which.contains(what) {
+            if !which(*what) {
                 continue;
             }
+            let is_open = all.iter().any(|(open, _, to)| open == what && *to == Micros::MAX);
             if *begins {
-                all.push((*what, at, Micros::MAX));
+                // What is hindered twice is freed by the first who frees it.
+                if !is_open {
+                    all.push((*what, at, Micros::MAX));
+                }
             } else if let Some(open) = all
                 .iter_mut()
                 .rev()
@@ -155,7 +169,7 @@ impl Body<'_> {
     }
 
     /// Whether any of these was hindered within these times, or so shortly before that it is felt.
-    fn is_hindered(&self, which: &[Hindered], from: Micros, to: Micros) -> bool {
+    fn is_hindered(&self, which: fn(Hindered) -> bool, from: Micros, to: Micros) -> bool {
         let all = self.hindrances(which);
         all.iter()
             .any(|(_, begin, end)| *begin < to && end.saturating_add(ROUND_TRIP + self.slack) > from)
@@ -163,7 +177,7 @@ impl Body<'_> {
 
     /// How long the body may go on when its program, or the way to it, is hindered.
     fn hold(&self, from: Micros, to: Micros) -> Option<Micros> {
-        match self.is_hindered(&[Hindered::Program, Hindered::Wire], from, to) {
+        match self.is_hindered(is_robots, from, to) {
             true => self.spec.hold,
             false => Some(0),
         }
@@ -245,7 +259,6 @@ impl Body<'_> {
                 _ => None,
             })
             .collect();
-        let all = [Hindered::Link, Hindered::Wire, Hindered::Program, Hindered::Hub];
         for (index, (at, owner, fence)) in grants.iter().enumerate() {
             let next = grants.get(index + 1).map_or(Micros::MAX, |(at, ..)| *at);
             let before = grants.get(..index).and_then(<[_]>::last);
@@ -263,7 +276,7 @@ impl Body<'_> {
                 if motion.since <= *at || motion.since >= next || !is_theirs {
                     continue;
                 }
-                let hindered = self.is_hindered(&all, *at - GONE, motion.since);
+                let hindered = self.is_hindered(|_| true, *at - GONE, motion.since);
                 let grace = if hindered { GONE } else { 0 };
                 if motion.since > at + grace + ROUND_TRIP + self.slack {
                     let late = (motion.since - at) / 1000;
@@ -365,7 +378,7 @@ impl Body<'_> {
 
     /// While its link or its program is hindered.
     fn hindered(&self, found: &mut Vec<Violation>) {
-        for (_, begin, end) in self.hindrances(&[Hindered::Link, Hindered::Hub]) {
+        for (_, begin, end) in self.hindrances(is_hubs) {
             let bound = begin + GONE + ROUND_TRIP + self.slack;
             let Some(hold) = self.hold(begin, end.min(bound + self.spec.stopping)) else {
                 continue;
@@ -378,7 +391,7 @@ impl Body<'_> {
             }
         }
         let Some(hold) = self.spec.hold else { return };
-        for (_, begin, end) in self.hindrances(&[Hindered::Program]) {
+        for (_, begin, end) in self.hindrances(|what| matches!(what, Hindered::Program(1..))) {
             let bound = begin + hold + self.spec.stopping + self.slack;
             if let Some(at) = self.moves(bound, end) {
                 let words = format!(

@@ -318,22 +318,24 @@ impl Trials {
             Deed::Pause(which) => {
                 let program = &mut self.world.programs[*which];
                 program.pause();
-                notes.note(hinder(program.part, true));
+                notes.note(hinder(Hindered::Program(*which), true));
             }
             Deed::GoOn(which) => {
                 let program = &mut self.world.programs[*which];
-                notes.note(hinder(program.part, false));
+                if program.is_stopped {
+                    notes.note(hinder(Hindered::Program(*which), false));
+                }
                 program.go_on();
             }
             Deed::Kill(which) => {
                 let program = &mut self.world.programs[*which];
                 program.kill();
-                notes.note(hinder(program.part, true));
+                notes.note(hinder(Hindered::Program(*which), true));
             }
             Deed::Restart(which) => {
                 let program = &mut self.world.programs[*which];
-                notes.note(hinder(program.part, false));
                 if !program.is_running() {
+                    notes.note(hinder(Hindered::Program(*which), false));
                     program.start();
                 }
             }

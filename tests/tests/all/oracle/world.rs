@@ -171,11 +171,10 @@ pub(super) struct Program {
     log: PathBuf,
     running: Option<Running>,
     pub(super) is_stopped: bool,
-    pub(super) part: Hindered,
 }
 
 impl Program {
-    fn new(folder: &Path, name: &'static str, part: Hindered, args: &[&str], password: &str) -> Self {
+    fn new(folder: &Path, name: &'static str, args: &[&str], password: &str) -> Self {
         Self {
             name,
             args: args.iter().map(|&arg| arg.to_owned()).collect(),
@@ -187,7 +186,6 @@ impl Program {
             log: folder.join(format!("{name}.log")),
             running: None,
             is_stopped: false,
-            part,
         }
     }
 
@@ -212,6 +210,7 @@ impl Program {
     /// Kills it (SIGKILL).
     pub(super) fn kill(&mut self) {
         self.running = None;
+        self.is_stopped = false;
     }
 
     pub(super) fn pause(&mut self) {
@@ -274,7 +273,6 @@ impl World {
         let mut hub = Program::new(
             folder.path(),
             "mom-broker",
-            Hindered::Hub,
             &["--config", text(&config), "--listen", "127.0.0.1:0"],
             "",
         );
@@ -333,7 +331,8 @@ impl World {
     /// All networks as they should be, and all programs running.
     pub(super) fn heal(&mut self) {
         let hinder = |what, begins| Seen::Hinder { what, begins };
-        for what in [Hindered::Link, Hindered::Wire, Hindered::Program, Hindered::Hub] {
+        let programs = (0..self.programs.len()).map(Hindered::Program);
+        for what in [Hindered::Link, Hindered::Wire].into_iter().chain(programs) {
             self.notes.note(hinder(what, false));
         }
         self.link.freeze(false);
@@ -368,7 +367,7 @@ impl Surroundings<'_> {
     async fn device(&mut self, kind: Kind) -> Vec<Program> {
         let (folder, hub, trace) = (self.folder, self.hub.clone(), text(self.trace));
         let program =
-            |name, args: &[&str], password| Program::new(folder, name, Hindered::Program, args, password);
+            |name, args: &[&str], password| Program::new(folder, name, args, password);
         let mut programs = match kind {
             Kind::Arm => vec![program("mom-arm", &["--hub", &hub, "--trace", trace], "arm")],
             Kind::Mount => {
@@ -406,7 +405,7 @@ impl Surroundings<'_> {
             "--trace",
             text(self.trace),
         ];
-        let mut robot = Program::new(self.folder, "mom-linuxbot", Hindered::Program, &args, "");
+        let mut robot = Program::new(self.folder, "mom-linuxbot", &args, "");
         let line = robot.start().line_with("listens at");
         let address = line.rsplit(' ').next().and_then(|word| word.parse().ok());
         let address: SocketAddr = address.expect("the robot says where it listens");
@@ -422,7 +421,7 @@ impl Surroundings<'_> {
             "--fleet",
             text(&fleet),
         ];
-        let mut gateway = Program::new(self.folder, "mom-gateway", Hindered::Program, &args, "gateway");
+        let mut gateway = Program::new(self.folder, "mom-gateway", &args, "gateway");
         gateway.start();
         self.wire = Some(wire);
         vec![gateway, robot]
@@ -430,7 +429,7 @@ impl Surroundings<'_> {
 
     async fn cubo(&mut self) -> Vec<Program> {
         let args = ["--listen", "127.0.0.1:0", "--trace", text(self.trace)];
-        let mut robot = Program::new(self.folder, "mom-cubo", Hindered::Program, &args, "");
+        let mut robot = Program::new(self.folder, "mom-cubo", &args, "");
         let line = robot.start().line_with("listens on");
         let address = line.rsplit(' ').next().and_then(|word| word.parse().ok());
         let address: SocketAddr = address.expect("the robot says where it listens");
@@ -448,7 +447,7 @@ impl Surroundings<'_> {
             "--robot",
             &place,
         ];
-        let mut middle = Program::new(self.folder, "mom-simulacrum", Hindered::Program, &args, "gateway");
+        let mut middle = Program::new(self.folder, "mom-simulacrum", &args, "gateway");
         middle.start();
         self.datagrams = Some(datagrams);
         vec![middle, robot]
