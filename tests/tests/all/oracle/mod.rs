@@ -7,6 +7,7 @@ mod body;
 mod log;
 mod planted;
 mod rules;
+mod rules_tests;
 mod trial;
 mod world;
 
