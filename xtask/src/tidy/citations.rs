@@ -271,7 +271,7 @@ fn check_safety(tree: &Tree, report: &mut Report<'_>) {
     let python = tree.with_extension(&["py"]);
     let words_of = python.flat_map(|(_, source)| source.split("def ").skip(1));
     tests.extend(words_of.filter_map(|rest| rest.split('(').next()));
-    let scripts = tree.with_extension(&["ts", "js"]);
+    let scripts = tree.with_extension(&["ts", "mjs"]);
     let named = scripts.flat_map(|(_, source)| source.split("test(\"").skip(1));
     tests.extend(named.filter_map(|rest| rest.split('"').next()));
     for (number, row) in document.lines().enumerate() {
@@ -347,8 +347,13 @@ mod tests {
 
     #[test]
     fn each_row_of_the_table_of_safety_names_a_test_that_exists() {
-        let row = |cell: &str| format!("| property | device | test |\n|---|---|---|\n| stops | arm | {cell} |\n");
-        for right in ["`threat_2_a_lie`", "*open*: all of it", "does not apply: it has none"] {
+        let row =
+            |cell: &str| format!("| property | device | test |\n|---|---|---|\n| stops | arm | {cell} |\n");
+        for right in [
+            "`threat_2_a_lie`",
+            "*open*: all of it",
+            "does not apply: it has none",
+        ] {
             assert_eq!(faults(SAFETY, &row(right)), NONE, "{right}");
         }
         assert_eq!(faults(SAFETY, &row("`a_lie`")).len(), 1);

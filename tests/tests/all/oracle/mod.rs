@@ -13,6 +13,7 @@ mod world;
 
 use std::collections::BTreeMap;
 
+use log::Seen;
 use planted::Plant;
 use tokio::task::JoinSet;
 use trial::{Outcome, Trials};
@@ -23,7 +24,7 @@ const TRIALS: u64 = 20;
 /// Worlds of each device at once.
 const SIDE_BY_SIDE: u64 = 2;
 /// Trials within which each fault has to be found.
-const FOUND_WITHIN: u64 = 40;
+const FOUND_WITHIN: u64 = 25;
 
 fn asked(name: &str) -> Option<u64> {
     std::env::var(name).ok().and_then(|text| text.parse().ok())
@@ -34,6 +35,8 @@ fn asked(name: &str) -> Option<u64> {
 struct Count {
     trials: u64,
     unjudged: u64,
+    /// What happened: motions, stops, grants, what was hindered.
+    happened: [usize; 4],
     stories: Vec<String>,
     rules: BTreeMap<String, u64>,
 }
@@ -46,11 +49,27 @@ impl Count {
             eprintln!("{kind:?} {}: not judged: {why}", outcome.seed);
             return;
         }
+        let seen = |of: fn(&Seen) -> bool| outcome.log.seen.iter().filter(|(_, seen)| of(seen)).count();
+        let happened = [
+            rules::count(&outcome.log, &kind.spec()),
+            seen(|seen| matches!(seen, Seen::Stop { .. })),
+            seen(|seen| matches!(seen, Seen::Grant { .. })),
+            seen(|seen| matches!(seen, Seen::Hinder { begins: true, .. })),
+        ];
+        self.happen(happened);
         for violation in &outcome.violations {
             *self.rules.entry(format!("{:?}", violation.rule)).or_default() += 1;
         }
         if !outcome.violations.is_empty() {
             self.stories.push(outcome.story(kind));
+        }
+    }
+}
+
+impl Count {
+    fn happen(&mut self, happened: [usize; 4]) {
+        for (sum, more) in self.happened.iter_mut().zip(happened) {
+            *sum += more;
         }
     }
 }
@@ -89,6 +108,7 @@ async fn no_body_moves_that_may_not() {
         let sum = all.entry(kind.spec().name).or_default();
         sum.trials += count.trials;
         sum.unjudged += count.unjudged;
+        sum.happen(count.happened);
         sum.stories.extend(count.stories);
         for (rule, times) in count.rules {
             *sum.rules.entry(rule).or_default() += times;
@@ -96,9 +116,10 @@ async fn no_body_moves_that_may_not() {
     }
     for (name, count) in &all {
         eprintln!(
-            "{name}: {} trials, {} not judged, {} with violations {:?}",
+            "{name}: {} trials, {} not judged; {:?} motions, stops, grants, hindrances; {} with violations {:?}",
             count.trials,
             count.unjudged,
+            count.happened,
             count.stories.len(),
             count.rules
         );
@@ -117,21 +138,22 @@ async fn no_body_moves_that_may_not() {
     );
 }
 
+/// In which trial the fault is found, by the rule that it breaks; of a device without one, any that it is said to have.
 async fn finds(plant: Plant, first: u64) -> Option<(u64, String)> {
     let kind = Kind::Planted(plant);
     let mut world = Trials::of(kind, first).await;
     for seed in first..first + FOUND_WITHIN {
         let outcome = world.run(seed).await;
-        if outcome.unjudged.is_none() && !outcome.violations.is_empty() {
-            let rules: Vec<String> = outcome
-                .violations
-                .iter()
-                .map(|found| format!("{:?}", found.rule))
-                .collect();
-            if plant == Plant::Nothing {
-                return Some((seed - first + 1, outcome.story(kind)));
-            }
-            return Some((seed - first + 1, rules.join(", ")));
+        if outcome.unjudged.is_some() {
+            continue;
+        }
+        let breaks = |rule| plant == Plant::Nothing || plant.breaks().contains(&rule);
+        if outcome.violations.iter().any(|found| breaks(found.rule)) {
+            let found = match plant {
+                Plant::Nothing => outcome.story(kind),
+                _ => format!("{:?}", plant.breaks()),
+            };
+            return Some((seed - first + 1, found));
         }
     }
     None

@@ -13,6 +13,7 @@ use tokio::task::JoinSet;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
 use super::log::Micros;
+use super::rules::Rule;
 
 /// What is wrong with it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,6 +46,22 @@ impl Plant {
         Self::OneWheelGoesOn,
         Self::TellsOldPlace,
     ];
+
+    /// By what the oracle finds it.
+    pub(super) fn breaks(self) -> &'static [Rule] {
+        match self {
+            Self::Nothing => &[],
+            Self::ObeysStopLate => &[Rule::BeginsAfterStop, Rule::RollsOnAfterStop],
+            Self::SaysStoppedBefore | Self::OneWheelGoesOn => &[Rule::RollsOnAfterStopped],
+            Self::BeginsQueuedAfterStop | Self::UnlatchesAtReconnect => &[Rule::BeginsAfterStopped],
+            Self::RollsAtMeasuredRest => &[Rule::MovesAtRest],
+            Self::ObeysOldFence => &[Rule::OldOwner],
+            Self::NewOwnerBeforeRest => &[Rule::FirstMotionAtRest],
+            Self::IgnoresLostLink => &[Rule::LinkLost],
+            Self::GoesOnAfterDeadline => &[Rule::Deadline],
+            Self::TellsOldPlace => &[Rule::WrongPlace],
+        }
+    }
 }
 
 /// mm/s²: it stands 200 ms after it was told to, at full speed.
@@ -265,7 +282,7 @@ impl Device {
         let free = self.latch.may_move().is_ok()
             || matches!(
                 self.plant,
-                Plant::BeginsQueuedAfterStop | Plant::UnlatchesAtReconnect
+                Plant::BeginsQueuedAfterStop | Plant::UnlatchesAtReconnect | Plant::IgnoresLostLink
             );
         if self.changes_hands && self.rests() {
             self.changes_hands = false;

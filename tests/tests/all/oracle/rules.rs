@@ -110,6 +110,15 @@ pub(super) fn judge(log: &Log, spec: &Spec) -> Vec<Violation> {
     found
 }
 
+/// How many motions there were.
+pub(super) fn count(log: &Log, spec: &Spec) -> usize {
+    let of = |samples: &Vec<super::log::Sample>| {
+        let looks = looks(samples, &spec.least, spec.turns);
+        motions(&looks, spec.least[0]).len()
+    };
+    log.bodies.iter().map(of).sum()
+}
+
 impl Body<'_> {
     fn seen(&self) -> impl DoubleEndedIterator<Item = (Micros, &Seen)> {
         self.log.seen.iter().map(|(at, seen)| (*at, seen))
@@ -252,13 +261,15 @@ impl Body<'_> {
 
     /// What changes hands.
     fn owners(&self, found: &mut Vec<Violation>) {
-        let grants: Vec<(Micros, &str, u64)> = self
+        let mut grants: Vec<(Micros, &str, u64)> = self
             .seen()
             .filter_map(|(at, seen)| match seen {
                 Seen::Grant { owner, fence } => Some((at, owner.as_str(), *fence)),
                 _ => None,
             })
             .collect();
+        // A grant is answered, and told to all.
+        grants.dedup_by_key(|(.., fence)| *fence);
         for (index, (at, owner, fence)) in grants.iter().enumerate() {
             let next = grants.get(index + 1).map_or(Micros::MAX, |(at, ..)| *at);
             let before = grants.get(..index).and_then(<[_]>::last);
@@ -287,7 +298,7 @@ impl Body<'_> {
                 }
             }
             let new = self.motions.iter().enumerate().find(|(_, motion)| {
-                motion.since > *at && motion.since < next && motion.way * theirs < -3.0 * self.spec.least[0]
+                motion.until > *at && motion.since < next && motion.way * theirs < -3.0 * self.spec.least[0]
             });
             if let Some((place, motion)) = new
                 && let Some(last) = place.checked_sub(1).and_then(|last| self.motions.get(last))

@@ -23,7 +23,10 @@ fn body(parts: &[(i64, f64)]) -> Vec<Sample> {
     let mut samples = Vec::new();
     for (until, speed) in parts {
         while at < until * MS {
-            samples.push(Sample { at, place: vec![x, 0.0] });
+            samples.push(Sample {
+                at,
+                place: vec![x, 0.0],
+            });
             x += speed * 0.01;
             at += 10 * MS;
         }
@@ -44,15 +47,27 @@ fn found(parts: &[(i64, f64)], seen: &[(i64, Seen)]) -> Vec<Rule> {
 
 fn state(stop: u64, stopped: bool, moving: bool, at: f64) -> Seen {
     let at = Some(at);
-    Seen::State { stopped, stop, moving, rests: !moving, at }
+    Seen::State {
+        stopped,
+        stop,
+        moving,
+        rests: !moving,
+        at,
+    }
 }
 
 fn command(owner: &str, ways: f64) -> Seen {
-    Seen::Command { owner: owner.to_owned(), ways }
+    Seen::Command {
+        owner: owner.to_owned(),
+        ways,
+    }
 }
 
 fn grant(owner: &str, fence: u64) -> Seen {
-    Seen::Grant { owner: owner.to_owned(), fence }
+    Seen::Grant {
+        owner: owner.to_owned(),
+        fence,
+    }
 }
 
 const STOP: Seen = Seen::Stop { number: 7 };
@@ -75,7 +90,10 @@ fn what_stands_when_it_is_stopped_and_moves_when_it_is_let_go_is_right() {
 fn what_begins_after_its_word_is_found_and_so_is_what_rolls_on() {
     let begins = [(1000, 300.0), (1500, 0.0), (1600, 300.0), (5000, 0.0)];
     let seen = [(1000, STOP), (1010, state(7, true, true, 300.0))];
-    assert_eq!(found(&begins, &seen), [Rule::BeginsAfterStopped, Rule::RollsOnAfterStopped]);
+    assert_eq!(
+        found(&begins, &seen),
+        [Rule::BeginsAfterStopped, Rule::RollsOnAfterStopped]
+    );
     let rolls = [(1700, 300.0), (5000, 0.0)];
     assert_eq!(found(&rolls, &seen), [Rule::RollsOnAfterStopped]);
     // It becomes faster again before it stands.
@@ -102,6 +120,7 @@ fn an_old_owners_motion_and_a_new_ones_before_rest_are_found() {
         (0, grant("alice", 1)),
         (10, command("alice", 1.0)),
         (2000, grant("bob", 2)),
+        (2001, grant("bob", 2)),
         (2010, command("bob", -1.0)),
     ];
     let right = [(2000, 300.0), (2400, 0.0), (3000, -300.0), (4000, 0.0)];
@@ -137,7 +156,10 @@ fn what_has_lost_its_link_or_its_program_stands() {
         (5000, hinder(Hindered::Program(1), false)),
     ];
     assert_eq!(found(&[(1500, 300.0), (6000, 0.0)], &frozen), []);
-    assert_eq!(found(&[(3000, 300.0), (6000, 0.0)], &frozen), [Rule::ProgramStandsStill]);
+    assert_eq!(
+        found(&[(3000, 300.0), (6000, 0.0)], &frozen),
+        [Rule::ProgramStandsStill]
+    );
 }
 
 #[test]
@@ -146,5 +168,8 @@ fn what_goes_on_beyond_its_time_is_found() {
     let lasts = 500 * MS;
     let seen = [(900, command("alice", 1.0)), (1000, Seen::Last { owner, lasts })];
     assert_eq!(found(&[(1000, 0.0), (1500, 300.0), (4000, 0.0)], &seen), []);
-    assert_eq!(found(&[(1000, 0.0), (3500, 300.0), (4000, 0.0)], &seen), [Rule::Deadline]);
+    assert_eq!(
+        found(&[(1000, 0.0), (3500, 300.0), (4000, 0.0)], &seen),
+        [Rule::Deadline]
+    );
 }

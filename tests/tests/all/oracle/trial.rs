@@ -96,24 +96,22 @@ impl Outcome {
     }
 }
 
-/// What a seed does to this kind of device, in the order of times in ms.
+/// What a seed does to this kind of device, in the order of times in ms: one of some plain plots, and then anything.
 fn plan(kind: Kind, seed: u64) -> Vec<(u64, Deed)> {
     let mut chance = Rng::with_seed(seed);
-    let length = if matches!(kind, Kind::Planted(_)) {
-        3000
+    let (mut plan, mut at) = plot(kind, &mut chance);
+    let more = if plan.len() > 2 {
+        chance.u64(0..3)
     } else {
-        800
+        chance.u64(3..8)
     };
-    let drive = |chance: &mut Rng| Deed::Drive([1, 200, 500][chance.usize(..3)], chance.u64(200..length));
-    let mut plan = vec![(0, Deed::HandOver(Way::LetGo)), (20, drive(&mut chance))];
-    let mut at = 20;
-    for _ in 0..chance.u64(3..8) {
+    for _ in 0..more {
         at += chance.u64(20..600);
         let deed = match chance.u32(..100) {
             0..30 => drive(&mut chance),
             30..47 => Deed::Stop,
             47..55 => Deed::Unstop,
-            55..73 => Deed::HandOver([Way::LetGo, Way::Give, Way::Take][chance.usize(..3)]),
+            55..73 => Deed::HandOver(way(&mut chance)),
             73..96 => {
                 fault(kind, at, &mut plan, &mut chance);
                 continue;
@@ -136,6 +134,60 @@ fn plan(kind: Kind, seed: u64) -> Vec<(u64, Deed)> {
     plan.push((last + chance.u64(100..2200), Deed::Nothing));
     plan.sort_by_key(|(at, _)| *at);
     plan
+}
+
+/// Somebody drives, and then what is most asked of a device happens, or nothing yet. Also when that is over.
+fn plot(kind: Kind, chance: &mut Rng) -> (Vec<(u64, Deed)>, u64) {
+    let mut plan = vec![(0, Deed::HandOver(Way::LetGo)), (20, drive(chance))];
+    // Of a planted fault it is to be shown soon that it is found.
+    let plots = if matches!(kind, Kind::Planted(_)) { 6 } else { 10 };
+    let plot = chance.u32(..plots);
+    if plot < 5 {
+        plan.push((30, Deed::Drive(1, chance.u64(1200..2000))));
+    }
+    let at = 20 + chance.u64(100..1200);
+    let over = match plot {
+        0 => {
+            plan.push((at, Deed::Link(true)));
+            plan.push((at + 3200, Deed::Link(false)));
+            at + 3200
+        }
+        1 => {
+            plan.push((at, Deed::Stop));
+            at + chance.u64(600..3200)
+        }
+        2 => {
+            plan.push((at, Deed::Stop));
+            plan.push((at + chance.u64(50..500), Deed::Sever));
+            at + 1500
+        }
+        3 | 4 => {
+            plan.push((at, Deed::HandOver(way(chance))));
+            plan.push((at + chance.u64(1..60), drive(chance)));
+            at + chance.u64(1000..2500)
+        }
+        5 => {
+            let last = drive(chance);
+            let Deed::Drive(pause, lasts) = last else {
+                return (plan, at);
+            };
+            plan.truncate(1);
+            plan.push((20, last));
+            let over = 20 + 2 * lasts + pause + 2500;
+            plan.push((over, Deed::Nothing));
+            over
+        }
+        _ => 20,
+    };
+    (plan, over)
+}
+
+fn drive(chance: &mut Rng) -> Deed {
+    Deed::Drive([1, 200, 500][chance.usize(..3)], chance.u64(200..1000))
+}
+
+fn way(chance: &mut Rng) -> Way {
+    [Way::LetGo, Way::Give, Way::Take][chance.usize(..3)]
 }
 
 /// Something is hindered for a while.

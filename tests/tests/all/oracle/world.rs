@@ -366,8 +366,7 @@ impl Surroundings<'_> {
     /// Starts the programs of a device.
     async fn device(&mut self, kind: Kind) -> Vec<Program> {
         let (folder, hub, trace) = (self.folder, self.hub.clone(), text(self.trace));
-        let program =
-            |name, args: &[&str], password| Program::new(folder, name, args, password);
+        let program = |name, args: &[&str], password| Program::new(folder, name, args, password);
         let mut programs = match kind {
             Kind::Arm => vec![program("mom-arm", &["--hub", &hub, "--trace", trace], "arm")],
             Kind::Mount => {
