@@ -7,6 +7,7 @@ use std::time::Duration;
 use mom_client::{
     Channel, Client, Delivery, Event, Events, Family, FenceGate, HUB, Latch, Map, Parcel, Reaction, Value,
 };
+use mom_tests::programs::PATIENCE;
 use mom_trace::Trace;
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
@@ -73,7 +74,7 @@ const RESTS: Micros = 300_000;
 /// µs by which a fault is late.
 const LATE: Micros = 4_000_000;
 /// µs of a device that says it stands and does not.
-const ROLLS: Micros = 1_500_000;
+const ROLLS: Micros = 2_000_000;
 
 /// Where it is: mm, degrees.
 #[derive(Debug, Default, Clone, Copy)]
@@ -127,6 +128,7 @@ impl Planted {
             .password("rover-b")
             .heartbeat(Duration::from_millis(500))
             .link(Duration::from_secs(60))
+            .request_timeout(PATIENCE)
             .connect()
             .await
             .expect("the lab knows its users");
@@ -298,12 +300,10 @@ impl Device {
         let lasts = match statement {
             Statement::Motor(speed, lasts) => {
                 self.body.wanted = speed;
-                lasts
-                    + if self.plant == Plant::GoesOnAfterDeadline {
-                        LATE
-                    } else {
-                        0
-                    }
+                match self.plant {
+                    Plant::GoesOnAfterDeadline => lasts + ROLLS,
+                    _ => lasts,
+                }
             }
             Statement::Wait(lasts) => lasts,
         };
@@ -337,6 +337,8 @@ impl Device {
     fn react(&mut self, event: &Event, reaction: Reaction) {
         let now = self.body.now;
         match reaction {
+            Reaction::Stop(_)
+                if self.plant == Plant::UnlatchesAtReconnect && matches!(event, Event::Stops(_)) => {}
             Reaction::Stop(_) => match self.plant {
                 Plant::ObeysStopLate => self.later = self.later.or(Some((now + LATE, Later::Latch))),
                 Plant::SaysStoppedBefore => {

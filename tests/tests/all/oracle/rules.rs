@@ -15,7 +15,7 @@ pub(super) const ROUND_TRIP: Micros = 300_000;
 /// What a busy machine may add to any time, beside what it adds to this process.
 const SLACK: Micros = 150_000;
 /// Trials in which this process itself stood still for longer are not judged.
-pub(super) const MOST_PAUSE: Micros = 250_000;
+pub(super) const MOST_PAUSE: Micros = 400_000;
 
 /// What is declared of a device.
 #[derive(Debug, Clone)]

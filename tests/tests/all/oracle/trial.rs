@@ -173,7 +173,7 @@ fn plot(kind: Kind, chance: &mut Rng) -> (Vec<(u64, Deed)>, u64) {
             };
             plan.truncate(1);
             plan.push((20, last));
-            let over = 20 + 2 * lasts + pause + 2500;
+            let over = 20 + 2 * lasts + pause + 4000;
             plan.push((over, Deed::Nothing));
             over
         }

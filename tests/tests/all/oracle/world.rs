@@ -459,10 +459,12 @@ fn text(path: &Path) -> &str {
 
 /// A person who has joined, once the device's contexts are there.
 async fn arrive(hub: &str, name: &str, kind: Kind) -> Person {
+    // Passwords take their time where many worlds begin at once.
     let client = Client::builder(hub)
         .user(name)
         .password(name)
         .event_buffer(4096)
+        .request_timeout(PATIENCE)
         .connect()
         .await;
     let client = client.expect("the lab knows its users");
