@@ -48,6 +48,8 @@ pub(super) enum Rule {
     LinkLost,
     ProgramStandsStill,
     Deadline,
+    /// It is not at rest, by its word, for long after all is well.
+    DoesNotComeToRest,
 }
 
 /// One thing that a body did and may not do.

@@ -10,7 +10,7 @@ use mom_tests::datagrams::Weather;
 use tokio::time::{Instant, sleep_until, timeout};
 
 use super::log::{Hindered, Log, Seen, now};
-use super::rules::{MOST_PAUSE, Violation, judge};
+use super::rules::{MOST_PAUSE, Rule, Violation, judge};
 use super::world::{Kind, OPERATOR, PEOPLE, World};
 
 /// How long one deed may take, such as while the hub is stopped.
@@ -154,12 +154,12 @@ fn plot(kind: Kind, chance: &mut Rng) -> (Vec<(u64, Deed)>, u64) {
         }
         1 => {
             plan.push((at, Deed::Stop));
-            at + chance.u64(600..3200)
+            at + chance.u64(1000..4500)
         }
         2 => {
             plan.push((at, Deed::Stop));
-            plan.push((at + chance.u64(50..500), Deed::Sever));
-            at + 1500
+            plan.push((at + chance.u64(50..2000), Deed::Sever));
+            at + 3200
         }
         3 | 4 => {
             plan.push((at, Deed::HandOver(way(chance))));
@@ -294,14 +294,14 @@ impl Trials {
         };
         let traced = self.world.reading.more();
         log.bodies = traced.unwrap_or_default();
-        let unjudged = match (&stuck, log.pause) {
-            (Some(why), _) => Some(format!("{why}; {}", self.logs())),
-            (None, pause) if pause > MOST_PAUSE => {
-                Some(format!("the machine stood still for {} ms", pause / 1000))
-            }
-            _ => None,
-        };
-        let violations = judge(&log, &kind.spec());
+        let unjudged =
+            (log.pause > MOST_PAUSE).then(|| format!("the machine stood still for {} ms", log.pause / 1000));
+        let mut violations = judge(&log, &kind.spec());
+        if let Some(why) = &stuck {
+            let words = format!("{why}; {}", self.logs());
+            let (rule, at) = (Rule::DoesNotComeToRest, now());
+            violations.push(Violation { rule, at, words });
+        }
         Outcome {
             seed,
             log,
