@@ -173,6 +173,8 @@ struct Device {
     later: Option<(Micros, Later)>,
     old_place: f64,
     kept: VecDeque<Command>,
+    /// The stop at which it kept them.
+    obeyed: u64,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -204,6 +206,7 @@ impl Device {
             later: None,
             old_place: 0.0,
             kept: VecDeque::new(),
+            obeyed: 0,
         }
     }
 
@@ -284,7 +287,11 @@ impl Device {
         let free = self.latch.may_move().is_ok()
             || matches!(
                 self.plant,
-                Plant::BeginsQueuedAfterStop | Plant::UnlatchesAtReconnect | Plant::IgnoresLostLink
+                Plant::BeginsQueuedAfterStop
+                    | Plant::UnlatchesAtReconnect
+                    | Plant::IgnoresLostLink
+                    | Plant::ObeysStopLate
+                    | Plant::SaysStoppedBefore
             );
         if self.changes_hands && self.rests() {
             self.changes_hands = false;
@@ -337,8 +344,9 @@ impl Device {
     fn react(&mut self, event: &Event, reaction: Reaction) {
         let now = self.body.now;
         match reaction {
+            // It is told again of the stop that it has left.
             Reaction::Stop(_)
-                if self.plant == Plant::UnlatchesAtReconnect && matches!(event, Event::Stops(_)) => {}
+                if self.plant == Plant::UnlatchesAtReconnect && self.latch.number() == self.obeyed => {}
             Reaction::Stop(_) => match self.plant {
                 Plant::ObeysStopLate => self.later = self.later.or(Some((now + LATE, Later::Latch))),
                 Plant::SaysStoppedBefore => {
@@ -347,6 +355,7 @@ impl Device {
                 }
                 Plant::BeginsQueuedAfterStop | Plant::UnlatchesAtReconnect => {
                     self.kept = self.queue.clone();
+                    self.obeyed = self.latch.number();
                     self.halt();
                     if self.plant == Plant::BeginsQueuedAfterStop {
                         self.later = Some((now + 500_000, Later::GoOn));

@@ -30,8 +30,10 @@ pub(super) struct Spec {
     pub(super) stopping: Micros,
     /// How long what moves it goes on by itself when its program stands still; none: as long as its command says.
     pub(super) hold: Option<Micros>,
-    /// How long it has rested before a new owner's first motion.
-    pub(super) rests_first: Micros,
+    /// Whether the robot behind its program has a deadline, too, when its own program stands still.
+    pub(super) robot_holds: bool,
+    /// How long it has rested before a new owner's first motion; none: that is not judged.
+    pub(super) rests_first: Option<Micros>,
 }
 
 /// What a body may not do.
@@ -188,7 +190,9 @@ impl Body<'_> {
 
     /// How long the body may go on when its program, or the way to it, is hindered.
     fn hold(&self, from: Micros, to: Micros) -> Option<Micros> {
+        let frozen = self.is_hindered(|what| what == Hindered::Program(2), from, to);
         match self.is_hindered(is_robots, from, to) {
+            true if frozen && !self.spec.robot_holds => None,
             true => self.spec.hold,
             false => Some(0),
         }
@@ -306,7 +310,10 @@ impl Body<'_> {
                 && let Some(last) = place.checked_sub(1).and_then(|last| self.motions.get(last))
                 && last.way * theirs > 0.0
                 && last.until > *at - 100_000
-                && motion.since - last.until < self.spec.rests_first
+                && self
+                    .spec
+                    .rests_first
+                    .is_some_and(|rests| motion.since - last.until < rests)
             {
                 let rested = (motion.since - last.until) / 1000;
                 let words = format!("{owner}'s first motion begins {rested} ms after the end of {old}'s");
@@ -315,17 +322,22 @@ impl Body<'_> {
         }
     }
 
-    /// Whether nothing can be under way at the device: all commands have ended, or it obeys a stop.
-    fn is_idle(&self, at: Micros) -> bool {
-        let mut open = 0_i64;
-        for (time, seen) in self.seen() {
+    /// How many commands may be under way at this time.
+    fn under_way(&self, at: Micros) -> usize {
+        let mut open: Vec<&str> = Vec::new();
+        for (_, seen) in self.seen().take_while(|(time, _)| *time <= at) {
             match seen {
-                Seen::Command { .. } if time <= at => open += 1,
-                Seen::Ended { .. } if time <= at => open -= 1,
+                Seen::Command { owner, .. } => open.push(owner),
+                // Of none that was sent in this trial, if there is none of its owner.
+                Seen::Ended { owner } => {
+                    if let Some(place) = open.iter().position(|other| other == owner) {
+                        open.remove(place);
+                    }
+                }
                 _ => {}
             }
         }
-        open <= 0
+        open.len()
     }
 
     /// When something new may begin after this time.
@@ -352,11 +364,15 @@ impl Body<'_> {
                 continue;
             };
             let holds = *stopped && self.freed(*stop) > at && *stop > 0;
-            if at < judged || !(holds || self.is_idle(at)) {
+            if at < judged || !(holds || self.under_way(at) == 0) {
                 continue;
             }
             let until = self.disturbed(at);
             let within = |sample: &&super::log::Sample| sample.at >= at && sample.at < until;
+            // It is the word of an earlier body where this one was not there yet.
+            if self.samples.first().is_none_or(|first| first.at > at) {
+                continue;
+            }
             let Some(first) = self.samples.iter().find(within) else {
                 continue;
             };
@@ -404,7 +420,10 @@ impl Body<'_> {
             }
         }
         let Some(hold) = self.spec.hold else { return };
-        for (_, begin, end) in self.hindrances(|what| matches!(what, Hindered::Program(1..))) {
+        for (what, begin, end) in self.hindrances(|what| matches!(what, Hindered::Program(1..))) {
+            if what == Hindered::Program(2) && !self.spec.robot_holds {
+                continue;
+            }
             let bound = begin + hold + self.spec.stopping + self.slack;
             if let Some(at) = self.moves(bound, end) {
                 let words = format!(
@@ -431,15 +450,7 @@ impl Body<'_> {
                     && time != at
                     && time > at
             });
-            let earlier = self
-                .seen()
-                .filter(|(time, seen)| *time <= at && matches!(seen, Seen::Command { .. }))
-                .count();
-            let ended = self
-                .seen()
-                .filter(|(time, seen)| *time <= at && matches!(seen, Seen::Ended { .. }))
-                .count();
-            if others || earlier > ended + 1 {
+            if others || self.under_way(at) > 1 {
                 continue;
             }
             if let Some(moves) = self.moves(most, self.disturbed(at)) {

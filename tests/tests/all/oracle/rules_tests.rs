@@ -13,7 +13,8 @@ fn spec() -> Spec {
         tolerance: vec![2.0, 2.0],
         stopping: 200 * MS,
         hold: Some(500 * MS),
-        rests_first: 200 * MS,
+        robot_holds: true,
+        rests_first: Some(200 * MS),
     }
 }
 

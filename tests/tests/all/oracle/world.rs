@@ -46,7 +46,8 @@ impl Kind {
             tolerance: vec![2.5, 2.5, 2.5],
             stopping: 1_000_000,
             hold: Some(500_000),
-            rests_first: 100_000,
+            robot_holds: true,
+            rests_first: Some(0),
         };
         match self {
             Self::Arm => Spec {
@@ -56,7 +57,8 @@ impl Kind {
                 tolerance: vec![0.5; 4],
                 stopping: 200_000,
                 hold: None,
-                rests_first: 0,
+                robot_holds: true,
+                rests_first: None,
             },
             Self::Mount => Spec {
                 name: "mount",
@@ -65,7 +67,8 @@ impl Kind {
                 tolerance: vec![0.1; 2],
                 stopping: 200_000,
                 hold: None,
-                rests_first: 200_000,
+                robot_holds: true,
+                rests_first: Some(200_000),
             },
             Self::Rover => Spec {
                 name: "rover",
@@ -80,6 +83,7 @@ impl Kind {
                 name: "cubo",
                 least: vec![0.15, 0.15, 0.3, 0.3, 0.3, 0.3],
                 tolerance: vec![2.5; 6],
+                robot_holds: false,
                 ..wheels
             },
             Self::Planted(_) => Spec {
@@ -89,7 +93,8 @@ impl Kind {
                 tolerance: vec![2.0, 2.0],
                 stopping: 600_000,
                 hold: None,
-                rests_first: 200_000,
+                robot_holds: true,
+                rests_first: Some(200_000),
             },
         }
     }
