@@ -140,9 +140,10 @@ async fn main() -> anyhow::Result<()> {
     let (stop, stopping) = watch::channel(false);
     // The pages end with this function.
     let (mut serving, mut showing) = (JoinSet::new(), JoinSet::new());
-    let others = usize::from(units.start() - 1);
     let mut trace = args.trace.as_deref().map(open).transpose()?;
-    let drivers = Simulated::fleet(args.robots).into_iter().skip(others);
+    let drivers = Simulated::fleet(args.robots)
+        .into_iter()
+        .skip(usize::from(units.start() - 1));
     for ((listener, driver), unit) in listeners.into_iter().zip(drivers).zip(units) {
         let driver = driver.with_battery(args.battery);
         let mut seen = None;
@@ -152,11 +153,7 @@ async fn main() -> anyhow::Result<()> {
             seen = Some(observed);
             showing.spawn(serve_page(page, shown));
         }
-        let driver: Box<dyn Driver> = match trace.take() {
-            Some(trace) => Box::new(Traced::new(driver, trace)),
-            None => Box::new(driver),
-        };
-        let robot = Robot::new(driver, Chassis::LINUXBOT, rules);
+        let robot = Robot::new(traced(driver, trace.take()), Chassis::LINUXBOT, rules);
         let mut stopping = stopping.clone();
         serving.spawn(serve_observed(
             listener,
@@ -185,6 +182,14 @@ async fn main() -> anyhow::Result<()> {
         keep(&mut result, ended);
     }
     result
+}
+
+/// This driver, whose way is written where that is asked for.
+fn traced(driver: Simulated, trace: Option<Trace>) -> Box<dyn Driver> {
+    match trace {
+        Some(trace) => Box::new(Traced::new(driver, trace)),
+        None => Box::new(driver),
+    }
 }
 
 fn open(file: &std::path::Path) -> anyhow::Result<Trace> {

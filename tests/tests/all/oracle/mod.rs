@@ -24,7 +24,7 @@ const TRIALS: u64 = 20;
 /// Worlds of each device at once.
 const SIDE_BY_SIDE: u64 = 2;
 /// Trials that are judged, within which each fault has to be found.
-const FOUND_WITHIN: u64 = 25;
+const FOUND_WITHIN: u64 = 15;
 
 fn asked(name: &str) -> Option<u64> {
     std::env::var(name).ok().and_then(|text| text.parse().ok())

@@ -290,7 +290,8 @@ impl Body<'_> {
             }
             for motion in &self.motions {
                 let is_theirs = motion.way * theirs > 3.0 * self.spec.least[0];
-                if motion.since <= *at || motion.since >= next || !is_theirs {
+                // Who owns it next may have been told sooner than this test.
+                if motion.since <= *at || motion.since >= next.saturating_sub(SLACK) || !is_theirs {
                     continue;
                 }
                 let hindered = self.is_hindered(|_| true, *at - GONE, motion.since);
