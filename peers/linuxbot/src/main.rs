@@ -120,13 +120,7 @@ async fn main() -> anyhow::Result<()> {
     let mut shutdown = pin!(shutdown()?);
     let options = options(&args)?;
     let rules = rules(&args)?;
-    let units = args.only.clone().unwrap_or(1..=args.robots);
-    anyhow::ensure!(
-        *units.end() <= args.robots,
-        "there is no unit {} among {} robots: --robots says how many there are on the floor",
-        units.end(),
-        args.robots
-    );
+    let units = chosen(&args)?;
     let listeners = listen(args.listen, units.len() as u16).await?;
     let addresses = listeners
         .iter()
@@ -182,6 +176,18 @@ async fn main() -> anyhow::Result<()> {
         keep(&mut result, ended);
     }
     result
+}
+
+/// Which robots of its floor it is.
+fn chosen(args: &LinuxbotArgs) -> anyhow::Result<RangeInclusive<u16>> {
+    let units = args.only.clone().unwrap_or(1..=args.robots);
+    anyhow::ensure!(
+        *units.end() <= args.robots,
+        "there is no unit {} among {} robots: --robots says how many there are on the floor",
+        units.end(),
+        args.robots
+    );
+    Ok(units)
 }
 
 /// This driver, whose way is written where that is asked for.

@@ -34,7 +34,8 @@ fn asked(name: &str) -> Option<u64> {
 #[derive(Debug, Default)]
 struct Count {
     trials: u64,
-    unjudged: u64,
+    /// Those that are not judged, and why.
+    unjudged: Vec<String>,
     /// What happened: motions, stops, grants, what was hindered.
     happened: [usize; 4],
     stories: Vec<String>,
@@ -45,8 +46,7 @@ impl Count {
     fn add(&mut self, kind: Kind, outcome: &Outcome) {
         self.trials += 1;
         if let Some(why) = &outcome.unjudged {
-            self.unjudged += 1;
-            eprintln!("{kind:?} {}: not judged: {why}", outcome.seed);
+            self.unjudged.push(format!("{}: {why}", outcome.seed));
             return;
         }
         let seen = |of: fn(&Seen) -> bool| outcome.log.seen.iter().filter(|(_, seen)| of(seen)).count();
@@ -107,7 +107,7 @@ async fn no_body_moves_that_may_not() {
         let (kind, count) = ended.expect("a world");
         let sum = all.entry(kind.spec().name).or_default();
         sum.trials += count.trials;
-        sum.unjudged += count.unjudged;
+        sum.unjudged.extend(count.unjudged);
         sum.happen(count.happened);
         sum.stories.extend(count.stories);
         for (rule, times) in count.rules {
@@ -116,7 +116,7 @@ async fn no_body_moves_that_may_not() {
     }
     for (name, count) in &all {
         eprintln!(
-            "{name}: {} trials, {} not judged; {:?} motions, stops, grants, hindrances; {} with violations {:?}",
+            "{name}: {} trials, not judged {:?}; {:?} motions, stops, grants, hindrances; {} with violations {:?}",
             count.trials,
             count.unjudged,
             count.happened,
@@ -130,7 +130,7 @@ async fn no_body_moves_that_may_not() {
     }
     assert!(stories.is_empty(), "{} trials with violations", stories.len());
     let (trials, unjudged) = all.values().fold((0, 0), |(trials, unjudged), count| {
-        (trials + count.trials, unjudged + count.unjudged)
+        (trials + count.trials, unjudged + count.unjudged.len() as u64)
     });
     assert!(
         unjudged * 5 <= trials,

@@ -321,14 +321,16 @@ impl Device {
     fn hear(&mut self, event: &Event) {
         self.pass();
         if let Some(reaction) = self.latch.observe(event) {
-            self.react(event, reaction);
+            self.react(event, &reaction);
         }
         match event {
             Event::Message(parcel) if parcel.name() == "command" => self.take(parcel),
-            Event::Message(parcel) if parcel.name() == "halt" && parcel.sender.as_deref() == Some(HUB) => {
-                if self.plant != Plant::ObeysOldFence {
-                    self.halt();
-                }
+            Event::Message(parcel)
+                if parcel.name() == "halt"
+                    && parcel.sender.as_deref() == Some(HUB)
+                    && self.plant != Plant::ObeysOldFence =>
+            {
+                self.halt();
             }
             Event::Grabbed { fence, .. } => self.take_owner(*fence),
             Event::Rejoined | Event::Resumed => {
@@ -341,7 +343,7 @@ impl Device {
         }
     }
 
-    fn react(&mut self, event: &Event, reaction: Reaction) {
+    fn react(&mut self, event: &Event, reaction: &Reaction) {
         let now = self.body.now;
         match reaction {
             // It is told again of the stop that it has left.

@@ -18,6 +18,15 @@ const AT_MOST: Duration = Duration::from_secs(1);
 /// How long a device may take until it obeys a stop again when all is well again.
 const RECOVERY: Duration = Duration::from_secs(30);
 
+/// A bad network of datagrams.
+const ROUGH: Weather = Weather {
+    cut: false,
+    loss: 0.2,
+    doubled: 0.1,
+    delay: Duration::from_millis(5),
+    jitter: Duration::from_millis(40),
+};
+
 /// What is done in a trial.
 #[derive(Debug, Clone)]
 enum Deed {
@@ -345,27 +354,15 @@ impl Trials {
             }
             Deed::Wire(frozen) => {
                 notes.note(hinder(Hindered::Wire, *frozen));
-                if let Some(wire) = &self.world.wire {
-                    wire.freeze(*frozen);
-                }
-                if let Some(datagrams) = &self.world.datagrams {
-                    datagrams.set(Weather {
-                        cut: *frozen,
-                        ..Weather::default()
-                    });
-                }
+                let cut = Weather {
+                    cut: *frozen,
+                    ..Weather::default()
+                };
+                self.weather(*frozen, cut);
             }
             Deed::Rough => {
                 notes.note(hinder(Hindered::Wire, true));
-                if let Some(datagrams) = &self.world.datagrams {
-                    datagrams.set(Weather {
-                        loss: 0.2,
-                        doubled: 0.1,
-                        delay: Duration::from_millis(5),
-                        jitter: Duration::from_millis(40),
-                        cut: false,
-                    });
-                }
+                self.weather(false, ROUGH);
             }
             Deed::Pause(which) => {
                 let program = &mut self.world.programs[*which];
@@ -393,6 +390,16 @@ impl Trials {
             }
             Deed::Reload => self.reload(seed),
             Deed::Nothing => {}
+        }
+    }
+
+    /// What the network between the device's program and its robot does.
+    fn weather(&self, frozen: bool, weather: Weather) {
+        if let Some(wire) = &self.world.wire {
+            wire.freeze(frozen);
+        }
+        if let Some(datagrams) = &self.world.datagrams {
+            datagrams.set(weather);
         }
     }
 
