@@ -14,6 +14,8 @@ const FASTER: f64 = 1.5;
 pub(super) struct Motion {
     /// When it did not move this way yet.
     pub(super) since: Micros,
+    /// When it was first seen to.
+    pub(super) seen: Micros,
     /// When it was last seen to move this way.
     pub(super) until: Micros,
     /// How far along the first number of its place, with the sign of its way.
@@ -74,6 +76,7 @@ pub(super) fn motions(looks: &[Look], least: f64) -> Vec<Motion> {
             let from_rest = !moves;
             motions.push(Motion {
                 since: look.from,
+                seen: look.at,
                 until: look.at,
                 way: 0.0,
                 from_rest,

@@ -141,10 +141,10 @@ impl Body<'_> {
         self.seen().find_map(lifts).unwrap_or(Micros::MAX)
     }
 
-    /// The first motion that begins within these times.
+    /// The first motion that certainly begins within these times.
     fn begins(&self, from: Micros, to: Micros) -> Option<&Motion> {
         let mut motions = self.motions.iter();
-        motions.find(|motion| motion.since > from && motion.since < to)
+        motions.find(|motion| motion.since > from && motion.seen < to)
     }
 
     /// When it is first seen to move within these times.
@@ -291,7 +291,7 @@ impl Body<'_> {
             for motion in &self.motions {
                 let is_theirs = motion.way * theirs > 3.0 * self.spec.least[0];
                 // Who owns it next may have been told sooner than this test.
-                if motion.since <= *at || motion.since >= next.saturating_sub(SLACK) || !is_theirs {
+                if motion.since <= *at || motion.seen >= next.saturating_sub(SLACK) || !is_theirs {
                     continue;
                 }
                 let hindered = self.is_hindered(|_| true, *at - GONE, motion.since);
@@ -422,7 +422,8 @@ impl Body<'_> {
         }
         let Some(hold) = self.spec.hold else { return };
         for (what, begin, end) in self.hindrances(|what| matches!(what, Hindered::Program(1..))) {
-            if what == Hindered::Program(2) && !self.spec.robot_holds {
+            let robots = |what| what == Hindered::Program(2);
+            if !self.spec.robot_holds && (robots(what) || self.is_hindered(robots, begin, end)) {
                 continue;
             }
             let bound = begin + hold + self.spec.stopping + self.slack;

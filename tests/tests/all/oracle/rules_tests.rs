@@ -81,8 +81,9 @@ fn what_stands_when_it_is_stopped_and_moves_when_it_is_let_go_is_right() {
         (1000, STOP),
         (1010, state(7, true, true, 300.0)),
         (1400, state(7, true, false, 300.0)),
-        (2800, UNSTOP),
-        (2850, command("alice", -1.0)),
+        // So shortly before it moves that it may have begun before, by the samples alone.
+        (2890, UNSTOP),
+        (2895, command("alice", -1.0)),
     ];
     assert_eq!(found(&parts, &seen), []);
 }
