@@ -1,5 +1,5 @@
 // Makes the pictures of docs/console.md, docs/fleet.md and docs/simulacrum.md anew from a lab: npm run screenshots; some of them alone: npm run screenshots -- fleet, or -- cubo. MOM_BIN is the program; with MOM_PREVIEW=1 the page is that of dist
-// (`vite preview`), and not the one that the program has in it.
+// as it is now, and not the one that the program has in it.
 import { spawn } from "node:child_process";
 import { writeFileSync } from "node:fs";
 import { join } from "node:path";
@@ -13,13 +13,6 @@ const MOST = 150_000;
 const alone = process.argv[2];
 const LABS = { fleet: ["--fleet", "10"], cubo: ["--cubo"] };
 const lab = await start(alone ? { lab: LABS[alone] } : {});
-let preview;
-if (process.env.MOM_PREVIEW) {
-  process.env.MOM_HUB = lab.address;
-  const vite = await import("vite");
-  preview = await vite.preview({ root: fileURLToPath(new URL("..", import.meta.url)), logLevel: "error", preview: { host: "127.0.0.1", port: 0 } });
-  lab.address = `http://127.0.0.1:${preview.httpServer.address().port}`;
-}
 const bench = await (await lab.browser.newContext()).newPage();
 
 /** Writes pictures beside each other, no wider than `width`, as JPEG that is small enough. */
@@ -79,7 +72,7 @@ async function page(user) {
 
 /** Ten robots on their way into a formation, and carol, who sends to two of them. */
 async function shootFleet(lab) {
-  const env = { ...process.env, MOM_HUB: lab.address.replace("http:", "bin:"), MOM_USER: "alice", MOM_PASSWORD: "alice" };
+  const env = { ...process.env, MOM_HUB: `bin://${lab.host}`, MOM_USER: "alice", MOM_PASSWORD: "alice" };
   const opened = await lab.page("carol");
   await opened.evaluate(() => (location.hash = "#/fleet"));
   const fleet = opened.locator("mom-fleet");
@@ -166,5 +159,4 @@ try {
   await { fleet: () => shootFleet(lab), cubo: () => shootCubo(lab), undefined: shootLab }[String(alone)]();
 } finally {
   await lab.end();
-  await preview?.close();
 }

@@ -98,7 +98,7 @@ for (const [width, colorScheme] of [[360, "light"], [1280, "light"], [1280, "dar
     }
     await look(pages.lab, "stopped", async () => {
       await pages.lab.keyboard.press("Escape");
-      await pages.lab.locator("mom-stop").getByText("stands, after").first().waitFor();
+      await pages.lab.locator("mom-stop").getByText("stands, measured, after").first().waitFor();
     });
   });
 }

@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { load } from "./bundle.mjs";
 
-const { robotOf, changesOf, counted } = await load("panels/fleet/robots.ts");
+const { robotOf, changesOf, counted, movesStopped } = await load("panels/fleet/robots.ts");
 const { filtered } = await load("panels/fleet/filter.ts");
 const { sorted, columns } = await load("panels/fleet/columns.ts");
 const { rangesOf, unitsOf, wordsOf } = await load("panels/fleet/units.ts");
@@ -37,6 +37,17 @@ test("a robot is what its message says, and in what state it is by what matters 
   assert.deepEqual([strange.x, strange.battery, strange.owner, strange.born], [undefined, 5, undefined, 1005]);
   assert.deepEqual(robot(1, { executing: { peer: "bob", statement: 1, of: 2 }, waiting: 3 }).executing, { peer: "bob", statement: 1, of: 2 });
   assert.deepEqual(counted([robot(1), robot(2, { moving: true, battery: 19 }), robot(3, { linked: false })]), { lost: 1, stopped: 0, expired: 0, driving: 1, standing: 1, low: 1 });
+});
+
+test("what is known of a robot's rest, and since when it is not reached by this machine's clock", () => {
+  const rest = (more) => robot(1, more).rest;
+  assert.deepEqual([rest({}), rest({ moving: true }), rest({ reached: true }), rest({ reached: true, rest: "measured" }), rest({ reached: false, moving: true })], ["unsaid", "moving", "unknown", "measured", "unreached"]);
+  assert.deepEqual([robot(1, { stopped: true, moving: true }), robot(1, { moving: true })].map(movesStopped), [true, false]);
+  assert.equal(robot(1, { reached: false }).state, "lost");
+  // Its gateway's clock is 500 ms ahead.
+  const late = robotOf({ ...said(1, { reached: false, "unreached-since": 700_000 }), said: 1500 });
+  assert.equal(late.since, 200);
+  assert.equal(robot(1, { reached: false, "unreached-since": "long ago" }).since, undefined);
 });
 
 test("what changes is told, what only goes on is not", () => {

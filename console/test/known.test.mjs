@@ -127,6 +127,25 @@ test("a device is unknown once it has gone, while the link is down, and after th
   assert.equal(teller.unknownSince, undefined);
 });
 
+test("a picture that is still on its way when its camera is shown no more is not said to be shown", async (t) => {
+  const { CameraView } = await load("panels/camera/view.svelte.ts");
+  const frames = [];
+  globalThis.requestAnimationFrame = (then) => frames.push(then);
+  t.after(() => delete globalThis.requestAnimationFrame);
+  const handlers = new Map();
+  const hub = { link: {}, watch: ({ path }, all) => (handlers.set(path, all), () => undefined) };
+  const [hidden, shown] = ["/camera/x", "/camera/y"].map((path) => {
+    const view = new CameraView(hub, path, () => undefined);
+    view.start(640);
+    handlers.get(path).picture({ bitmap: { width: 2, height: 2 }, content: {}, size: 1, born: Date.now(), error: 1, arrived: Date.now(), skipped: 0, watch: 1 });
+    return view;
+  });
+  hidden.hide();
+  for (const then of frames) then();
+  await until(() => shown.glass);
+  assert.deepEqual([hidden.glass, frames.length], [null, 2]);
+});
+
 test("a camera sees a device if it says so, stands beside it, names its states, or tells of the only robot; no other does", () => {
   const selection = new Selection({});
   selection.cameras = ["/camera/x", "/fleet/7/camera"];

@@ -51,7 +51,7 @@ test("a model that is written reads as the same model", async () => {
     blank(2, { name: "b", kind: "effector", type: "i32", count: "x, y", unit: "mm, ", range: "-1..1, -2..2", motion: "incremental" }),
     blank(3, { name: "c", kind: "monitor", of: "a", period: "20" }),
     blank(4, { name: "d", kind: "module", members: "a, b" }),
-    blank(5, { name: "e", kind: "command" }),
+    blank(5, { name: "e", kind: "command", lasts: "1500" }),
     blank(6, { name: "f", kind: "event", type: "bytes", max: "7" }),
   ] };
   assert.equal(check(odd).count, 0, JSON.stringify(check(odd).elements));
@@ -101,6 +101,8 @@ test("each mistake stands at its field", () => {
     [{ ...wheel, kind: "sensor", rate: "5" }, "rate", /A sensor has none/],
     [{ ...wheel, kind: "sensor", period: "70000" }, "period", /0 to 60000/],
     [{ ...wheel, period: "20" }, "period", /An effector has none/],
+    [{ ...wheel, lasts: "20" }, "lasts", /An effector has none/],
+    [{ name: "wave", kind: "command", lasts: "70000" }, "lasts", /0 to 60000/],
     [{ ...wheel, type: "bytes" }, "max", /missing/],
     [{ ...wheel, type: "bytes", max: "9", unit: "mm" }, "unit", /bytes are none/],
     [{ ...wheel, max: "9" }, "max", /type bytes/],

@@ -76,7 +76,7 @@ export class FakeRobot {
   obeys = true;
   /** Called when it stops, and when it is let go. */
   onStop = () => undefined;
-  #state = { moving: false, stopped: false, stop: 0, linked: true, fence: 0 };
+  #state = { moving: false, rest: "measured", reached: true, stopped: false, stop: 0, linked: true, fence: 0 };
   #sequence = 0;
 
   static async start(host, path, user = "carol", elements = CUBO) {
@@ -164,9 +164,14 @@ export class FakeRobot {
     return undefined;
   }
 
-  /** It moves, or rests, and says so as devices do: only the newest matters. */
-  async moves(moving) {
-    Object.assign(this.#state, { moving, pose: { x: 0, y: 0, z: 100, spin: 0, tilt: 0 } });
+  /** It moves, or rests. */
+  moves(moving) {
+    return this.tells({ moving, rest: moving ? undefined : "measured", reached: true, "unreached-since": undefined, pose: { x: 0, y: 0, z: 100, spin: 0, tilt: 0 } });
+  }
+
+  /** It says so of itself, as devices do: only the newest matters. What is undefined is not said. */
+  async tells(change) {
+    this.#state = Object.fromEntries(Object.entries({ ...this.#state, ...change }).filter(([, value]) => value !== undefined));
     await this.channel.sendAcknowledged("state", this.#state, { delivery: "latest", echo: false });
   }
 

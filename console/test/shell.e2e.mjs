@@ -78,8 +78,8 @@ test("Escape stops from anywhere and Space outside of fields, and each device sa
   await page.keyboard.press("Space");
   assert.equal(await report(page).count(), 0, "Space belongs to the control that has the focus");
   await page.keyboard.press("Escape");
-  await report(page).getByText(/\/robot\/arm\s*arm\s*stands, after/).waitFor();
-  await report(page).getByText(/\/camera\/pan\s*camera-pan\s*stands, after/).waitFor();
+  await report(page).getByText(/\/robot\/arm\s*arm\s*stands, measured, after/).waitFor();
+  await report(page).getByText(/\/camera\/pan\s*camera-pan\s*stands, measured, after/).waitFor();
   const status = page.locator("mom-status");
   await status.getByText("stopped").waitFor();
   await letGo(page);
@@ -87,7 +87,7 @@ test("Escape stops from anywhere and Space outside of fields, and each device sa
   await status.getByText("at rest").waitFor();
   await page.locator("main").focus();
   await page.keyboard.press("Space");
-  await report(page).getByText(/arm\s*stands, after/).waitFor();
+  await report(page).getByText(/arm\s*stands, measured, after/).waitFor();
   await letGo(page);
   await status.getByText("at rest").waitFor();
 });
@@ -124,7 +124,7 @@ test("with the link down STOP tries every door and says that nobody has confirme
   } finally {
     lab.child.kill("SIGCONT");
   }
-  await report(page).getByText(/arm\s*stands, after/).waitFor();
+  await report(page).getByText(/arm\s*stands, measured, after/).waitFor();
   await page.locator("mom-status").getByText("connected").waitFor();
   await letGo(page);
   await report(page).getByText(/arm\s*may move/).waitFor();

@@ -59,6 +59,14 @@ async function press(page, how = () => page.keyboard.down("Escape"), then = () =
   return stops[0] - begun;
 }
 
+/** That the stop has come by another peer than the page's: not over its link, whenever that goes on. */
+async function goesAround(page) {
+  // Nothing can be loaded while the link is frozen.
+  const [me] = (await page.locator("mom-console .user .cut").innerText()).split(",");
+  const { by } = await robot.client.stops(PATH);
+  assert.ok(by !== me && by.split("~")[0] === me.split("~")[0], `${by}, and the page is ${me}`);
+}
+
 test("a mouse that is pressed on STOP and leaves it has stopped; one press is one stop", async (t) => {
   const page = await drive(t);
   const [x, y] = await middle(page);
@@ -134,14 +142,62 @@ test("who has stopped what, and why, stands in the frame of every page as long a
   await line.waitFor({ state: "detached" });
 });
 
+test("the report says how each device's rest is known, as it becomes known, and the line above how it stands", async (t) => {
+  const page = await drive(t);
+  await page.getByRole("combobox", { name: "Device" }).selectOption(PATH);
+  const line = page.locator("mom-stop .report li").filter({ hasText: PATH });
+  await robot.moves(true);
+  await moves(page).getByText("moving", { exact: true }).waitFor();
+  await press(page);
+  // It obeys at once, and rolls.
+  await line.getByText("obeys, and is coming to rest…").waitFor();
+  await moves(page).getByText("stopped, moving").waitFor();
+  assert.equal(await line.locator(".good").count(), 0);
+  await line.locator(".danger").getByText(/obeys, and was moving still after/).waitFor();
+  await robot.moves(false);
+  await line.locator(".good").getByText(/stands, measured, after/).waitFor();
+  await moves(page).getByText("stopped, at rest, measured").waitFor();
+  for (const [said, inReport, inLine] of [
+    [{ rest: "not-measured" }, /stands, not measured, after/, "stopped, at rest, not measured"],
+    [{ rest: undefined }, /obeys, and was not known to rest after/, "stopped, not known to rest"],
+    [{ rest: undefined, reached: undefined }, /obeys, after .*; its rest is not told/, "stopped, rest not told"],
+    [{ moving: true, rest: undefined, reached: false }, /obeys, and is not reached$/, /stopped, not reached since \d\d:\d\d:\d\d$/],
+    [{ "unreached-since": (Date.now() - 3_600_000) * 1000 }, /obeys, and is not reached since \d\d:\d\d:\d\d$/, /stopped, not reached since \d\d:\d\d:\d\d$/],
+  ]) {
+    await robot.tells(said);
+    await line.getByText(inReport).waitFor();
+    await moves(page).getByText(inLine).waitFor();
+  }
+  await robot.moves(false);
+});
+
+test("of many devices those that need attention come first", async (t) => {
+  const page = await drive(t);
+  await page.evaluate(async () => {
+    const { hubOf } = await import("/panels.js");
+    const devices = Array.from({ length: 120 }, (_, at) => ({ path: `/herd/${at}`, device: "herd", word: "obeys", after: 5, rest: "measured", told: 340 }));
+    devices[90] = { ...devices[90], rest: "moving", told: 3000 };
+    devices[110] = { path: "/herd/110", device: "herd", word: "silent" };
+    hubOf().order = { order: "stop", top: "/", at: Date.now(), devices, refused: [], newer: [], empty: [], denied: [], over: true, taken: true, missed: false, trying: [] };
+  });
+  const report = page.locator("mom-stop .report");
+  await report.getByText("118 of 120 stand").waitFor();
+  const lines = await report.locator("li").allInnerTexts();
+  assert.match(lines[0], /\/herd\/90 .*was moving still after 3\.0 s/);
+  assert.match(lines[1], /\/herd\/110 .*has not said so/);
+  assert.deepEqual([lines.length, lines.at(-1)], [53, "and 68 more, which need no attention"]);
+  assert.equal(await page.locator("mom-stop .report.calm").count(), 0);
+});
+
 test("a stop goes around a link that is frozen", async (t) => {
   const page = await drive(t);
   await moves(page).getByText("connected").waitFor();
   hub.relay.freeze();
   const took = await press(page);
+  await goesAround(page);
   assert.ok(took < 1000, `${took} ms`);
   hub.relay.thaw();
-  await page.locator("mom-stop .report").getByText(/stands, after/).waitFor();
+  await page.locator("mom-stop .report").getByText(/stands, measured, after/).waitFor();
 });
 
 test("a stop goes around a link that is frozen for who has logged in by a key, too", async (t) => {
@@ -153,6 +209,7 @@ test("a stop goes around a link that is frozen for who has logged in by a key, t
   await moves(page).getByText("connected").waitFor();
   hub.relay.freeze();
   const took = await press(page);
+  await goesAround(page);
   assert.ok(took < 1000, `${took} ms`);
   hub.relay.thaw();
 });
@@ -166,6 +223,7 @@ test("a stop goes around the link's own attempts, which hang", async (t) => {
   await until(page, () => hub.relay.hangs > 0);
   hub.relay.frozen = false;
   const took = await press(page);
+  // What hangs has ten seconds.
   assert.ok(took < 1000, `${took} ms`);
   hub.relay.thaw();
 });
@@ -179,7 +237,7 @@ test("a stop gets out as soon as the network does, though all that was tried bef
   hub.relay.frozen = false;
   const took = await press(page, () => undefined, () => undefined);
   assert.ok(took < 1500, `${took} ms`);
-  await page.locator("mom-stop .report").getByText(/stands, after/).waitFor();
+  await page.locator("mom-stop .report").getByText(/stands, measured, after/).waitFor();
   hub.relay.thaw();
 });
 
@@ -192,6 +250,7 @@ test("a stop gets through where the page itself fills a narrow uplink", async (t
   });
   await until(page, () => hub.relay.waits);
   const took = await press(page);
+  // What waits takes 50 s.
   assert.ok(took < 1000, `${took} ms`);
   hub.relay.uplink = Infinity;
 });

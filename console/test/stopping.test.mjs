@@ -1,5 +1,6 @@
 // The order to stop and to let go, against a client that is none.
 import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
 import { afterEach, before, test } from "node:test";
 import { setTimeout as sleep } from "node:timers/promises";
 import { load } from "./bundle.mjs";
@@ -47,13 +48,47 @@ test("STOP is one request, and its report says what stands, what is silent, what
   const devices = [{ peer: "arm", word: "stopped" }, { peer: "hand", word: "silent" }, { peer: "eye", word: "lost" }];
   const { asked, stopping, report, shown } = worker({ answers: { stop: { channels: [told("/robot/arm", 7, devices), told("/belt", 9, [])], others: 3, denied: ["/secret"] } } });
   await stopping.order("stop", "/", { reason: "smoke" });
-  assert.deepEqual(asked, [["stop", "/", { reason: "smoke" }]]);
+  assert.deepEqual(asked, [["stop", "/", { within: 3000, reason: "smoke" }]]);
   const { devices: found, empty, denied, over, taken } = report();
   assert.deepEqual(found.map(({ device, word }) => [device, word]), [["arm", "obeys"], ["hand", "silent"], ["eye", "lost"]]);
   assert.ok(found[0].after >= 0 && found[1].after === undefined);
   assert.deepEqual([empty, denied, over, taken], [["/belt"], ["/secret"], true, true]);
   // Until the hub lists them.
   assert.deepEqual(await shown(), []);
+});
+
+test("a device that obeys is not said to stand before it rests, by the hub's answer and by its own states, whichever comes first", async () => {
+  const devices = [{ peer: "arm", word: "stopped", rest: "measured" }, { peer: "cart", word: "stopped", moving: true }, { peer: "belt", word: "stopped", moving: true, reached: false }, { peer: "old", word: "stopped" }];
+  const { stopping, report } = worker({ answers: { stop: { channels: [told("/r", 7, devices)], others: 0, denied: [] } } });
+  const ordered = stopping.order("stop", "/", {});
+  const state = (device, said, since) => stopping.heard("/r", device, { stopped: true, ...said }, since);
+  state("cart", { moving: false, reached: true, rest: "not-measured" });
+  state("belt", { moving: true, reached: false }, 1000);
+  await ordered;
+  const known = () => Object.fromEntries(report().devices.map(({ device, rest, since }) => [device, since === undefined ? rest : [rest, since]]));
+  // What it has said itself is not older than the answer.
+  assert.deepEqual(known(), { arm: "measured", cart: "not-measured", belt: ["unreached", 1000], old: "unsaid" });
+  const [cart] = report().devices.filter(({ device }) => device === "cart");
+  state("cart", { moving: false, reached: true, rest: "not-measured" });
+  assert.equal(report().devices.find(({ device }) => device === "cart").told, cart.told, "when it came to rest, not when it said so again");
+  state("belt", { moving: false, reached: true });
+  state("arm", { moving: true, reached: true });
+  assert.deepEqual(known(), { arm: "moving", cart: "not-measured", belt: "unknown", old: "unsaid" });
+});
+
+test("what follows from a device's state, and from the hub's answer, is the same, and that of all clients", async () => {
+  const { restOf, isWell } = await load("worker/rest.ts");
+  const cases = JSON.parse(readFileSync(new URL("../../tests/cases/answers.json", import.meta.url), "utf8")).filter(({ answer }) => answer.word === "stopped");
+  assert.ok(cases.length >= 8);
+  for (const { name, says, answer, obeyed } of cases) assert.deepEqual([isWell(restOf(says)), isWell(restOf(answer))], [obeyed, obeyed], name);
+});
+
+test("of channels whose stops the page has not heard of the hub is asked", async () => {
+  const { asked, standing, shown } = worker({ answers: { stops: async (path) => { if (path === "/gone") throw new Error("no such path"); return path === "/free" ? { number: 3, stopped: false, only: [] } : stopped(4, "bob", "smoke"); } } });
+  const found = await standing.ask(["/r", "/free", "/gone"]);
+  assert.deepEqual(found.map(({ path, number, by, reason }) => [path, number, by, reason]), [["/r", 4, "bob", "smoke"]]);
+  assert.equal(asked.length, 3);
+  assert.deepEqual(await shown(), [["/r", 4, "bob", "smoke"]]);
 });
 
 test("what holds is known from lists, and who said it, and from what is heard", async () => {
@@ -91,7 +126,7 @@ test("one robot of a fleet: what was not shown is shown first", async () => {
   const { asked, stopping, shown } = worker({ answers: { stops: stopped(4, "bob", "smoke"), unstop: { channels: [told("/r", 4, [{ peer: "r", word: "unstopped" }])], others: 0, denied: [] } } });
   await assert.rejects(stopping.one("unstop", "/r", { stops: {} }), /bob has stopped it: smoke/);
   await stopping.one("unstop", "/r", { stops: { "/r": 4 } });
-  assert.deepEqual(asked, [["stops", "/r"], ["unstop", "/r", 4, { within: 0 }]]);
+  assert.deepEqual(asked, [["stops", "/r"], ["unstop", "/r", 4, {}]]);
   assert.deepEqual(await shown(), []);
 });
 
@@ -137,7 +172,7 @@ test("a stop that the link does not take goes over a second connection after 300
   const begun = performance.now();
   await stopping.order("stop", "/", { reason: "smoke" });
   assert.ok(performance.now() - begun >= 295, "the link has its time");
-  assert.deepEqual(asked, [["/", { reason: "smoke" }]]);
+  assert.deepEqual(asked, [["/", { within: 3000, reason: "smoke" }]]);
   const { taken, over, trying, devices } = report();
   assert.deepEqual([taken, over, trying, devices.map(({ device, word }) => [device, word])], [true, true, [], [["arm", "obeys"]]]);
 });

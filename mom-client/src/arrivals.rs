@@ -1,7 +1,7 @@
 //! Dispatches arriving parcels: replies to their callers, events to their subscribers.
 
 use mom_proto::event as names;
-use mom_proto::{Family, Map, Parcel, Path, WireError};
+use mom_proto::{Family, HUB, Map, Parcel, Path, WireError};
 
 use crate::Event;
 use crate::info::{map_of, number, text};
@@ -27,10 +27,15 @@ impl Shared {
                 let paths: Vec<Path> = parcel.context.iter().cloned().collect();
                 let is_stop = [names::STOP, names::UNSTOP].contains(&parcel.name());
                 let status = (parcel.name() == STATUS).then(|| map_of(&parcel));
+                let is_halt = parcel.name() == names::HALT && parcel.sender.as_deref() == Some(HUB);
+                let halt = is_halt.then(|| map_of(&parcel));
                 let event = Event::from_parcel(parcel);
                 let mut state = self.lock();
                 if let Some(path) = paths.first().filter(|_| is_stop) {
                     state.places.note_stops(path, &event);
+                }
+                if let (Some(path), Some(halt)) = (paths.first(), &halt) {
+                    state.places.note_guard(path, halt);
                 }
                 status.into_iter().for_each(|status| state.note_status(&status));
                 state.subscribers.deliver(&paths, event);

@@ -11,11 +11,17 @@ use crate::{ClientError, Event, FenceGate, Latch, StopState};
 
 pub(crate) type Joined = Result<Arc<Map>, ClientError>;
 
+/// Of so many channels that are gone it is remembered what devices had heard of stops there.
+const MOST_LEFT: usize = 4096;
+
 /// The contexts by path, so that parents come before what is in them.
 #[derive(Debug, Default)]
 pub(crate) struct WantedContexts {
     places: BTreeMap<Path, WantedContext>,
     serial: u64,
+    /// What devices had heard of stops in channels that are gone, for when these are back: a hub that began anew without them knows no stop
+    /// there.
+    left: BTreeMap<Path, Latch>,
 }
 
 /// One context that a proxy wants.
@@ -91,7 +97,7 @@ impl WantedContexts {
                 serial: *serial,
                 phase: JoinPhase::Away,
                 gate: FenceGate::new(),
-                latch: Latch::default(),
+                latch: self.left.remove(path).unwrap_or_default(),
                 terms: Terms::default(),
                 wanted: 0,
             }
@@ -125,7 +131,7 @@ impl WantedContexts {
         if place.wanted > 0 {
             return false;
         }
-        self.places.remove(path);
+        self.remove(path);
         true
     }
 
@@ -169,6 +175,13 @@ impl WantedContexts {
         place.map(|place| place.latch.clone()).unwrap_or_default()
     }
 
+    /// Notes that another token guards a channel from now on, or none, as the hub's `halt` says.
+    pub(crate) fn note_guard(&mut self, path: &Path, halt: &Map) {
+        if let Some(place) = self.places.get(path).filter(|_| halt.get("guard").is_some()) {
+            place.gate.joined(halt);
+        }
+    }
+
     /// Notes what a channel has told of stops.
     pub(crate) fn note_stops(&mut self, path: &Path, event: &Event) {
         if let Some(place) = self.places.get_mut(path).filter(|place| place.terms.device) {
@@ -204,12 +217,23 @@ impl WantedContexts {
 
     /// Forgets a context.
     pub(crate) fn remove(&mut self, path: &Path) {
-        self.places.remove(path);
+        if let Some(place) = self.places.remove(path)
+            && place.terms.device
+            && self.left.len() < MOST_LEFT
+        {
+            self.left.insert(path.clone(), place.latch);
+        }
     }
 
     /// Forgets a context and all below it, as the hub did.
     pub(crate) fn remove_within(&mut self, top: &Path) {
-        self.places.retain(|path, _| !path.is_within(top));
+        let within: Vec<Path> = self
+            .places
+            .keys()
+            .filter(|path| path.is_within(top))
+            .cloned()
+            .collect();
+        within.iter().for_each(|path| self.remove(path));
     }
 
     /// The link is gone; returns the waiting callers.

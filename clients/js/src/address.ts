@@ -64,7 +64,7 @@ function doorsOfOne(address: string, secret: boolean, secureOnly: boolean): Door
   if (secret) doors = doors.filter(isPrivate);
   if (!doors.length) {
     const safe = shown({ ...first, tls: true });
-    throw local("insecure", `a password or token is sent over TLS or loopback only, and others could read it on the way to ${address}: write ${safe}, or log in with a key; nothing was sent`);
+    throw local("insecure", `a password or token is sent over TLS or loopback only, and others could read it on its way to ${address}: write ${safe}, or use a key; nothing was sent`);
   }
   // Browsers take loopback for safe, whatever the page.
   if (secureOnly) doors = doors.filter(isPrivate);

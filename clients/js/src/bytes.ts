@@ -104,7 +104,7 @@ export class Reader {
 
   #skip(count: number): number {
     const at = this.at;
-    if (count > this.left) throw local("bad-content", `${count} bytes are announced at ${at}, and ${this.left} are there`);
+    if (count > this.left) throw local("bad-content", `${count} bytes are announced at ${at}, ${this.left} are there`);
     this.at += count;
     return at;
   }

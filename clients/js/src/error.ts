@@ -95,14 +95,14 @@ export function local(code: string, text: string): MomError {
 
 /** What is said of a parcel that was dropped; after a loss, what had left is never said to be unsent. */
 const DROPPED: Record<string, string> = {
-  lost: "the connection was lost before it had left, and it is not sent any more",
+  lost: "the connection was lost before it had left",
   unknown: "the connection was lost when it had left, and it is unknown whether the hub has read it",
   withdrawn: "a later stop withdrew it before it had left",
 };
 
 /** @internal */
 export function dropped(parcel: Parcel, reason: string, cause?: MomError): MomError {
-  const why = DROPPED[reason] ?? "it was dropped before it had left";
+  const why = DROPPED[reason] ?? "it was dropped";
   return new MomError("connection", reason, `${nameOf(parcel)}: ${why}${cause ? ` (${cause.text})` : ""}`, 305);
 }
 

@@ -29,7 +29,7 @@ export class Frames {
     if (!this.#greeted && !this.#greet()) return;
     while (this.#end - this.#begin >= 4) {
       const length = new Reader(this.#bytes.subarray(this.#begin, this.#end)).u32();
-      if (length > this.most) throw local("too-large", `the hub announces ${length} bytes, above its own limit of ${this.most}`);
+      if (length > this.most) throw local("too-large", `the hub announces ${length} bytes, above its ${this.most}`);
       if (length === 0) throw local("bad-frame", "a frame has no kind");
       if (this.#end - this.#begin < 4 + length) return;
       const frame = this.#bytes.subarray(this.#begin + 4, this.#begin + 4 + length);
@@ -91,7 +91,7 @@ export class Frames {
       const open = [...this.#streams.values()].reduce((sum, stream) => sum + stream.whole.length, length);
       if (stream) throw broken("it is open already");
       if (this.#streams.size >= STREAMS) throw broken(`more than ${STREAMS} are open`);
-      if (open > this.most) throw local("too-large", `${open} bytes are announced in chunks, above the limit of ${this.most}`);
+      if (open > this.most) throw local("too-large", `${open} bytes are announced in chunks, above its ${this.most}`);
       stream = { whole: new Uint8Array(length), at: 0 };
       this.#streams.set(number, stream);
     }

@@ -9,7 +9,7 @@ function subtle(): SubtleCrypto {
   if (!found) {
     throw local(
       "bad-login",
-      "a key needs Web Crypto, which browsers give to pages from https:// and localhost only: serve the page so, or log in by a password",
+      "a key needs Web Crypto, which browsers give to pages from https:// and localhost only: serve the page so, or use a password",
     );
   }
   return found;
@@ -20,7 +20,7 @@ async function supported<T>(asked: Promise<T>): Promise<T> {
     return await asked;
   } catch (error) {
     if (error instanceof DOMException && error.name === "NotSupportedError") {
-      throw local("bad-login", "this browser's Web Crypto has no Ed25519 (Chrome 137, Firefox 129 and Safari 17 have): update it, or log in by a password");
+      throw local("bad-login", "this browser's Web Crypto has no Ed25519 (Chrome 137, Firefox 129, Safari 17 do): update it, or use a password");
     }
     throw error;
   }

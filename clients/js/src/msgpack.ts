@@ -44,7 +44,7 @@ function head(writer: Writer, length: number, [short, below, b8, b16, b32]: [num
 }
 
 function packText(writer: Writer, text: string): void {
-  if (NO_XML.test(text)) throw local("not-encodable", "a text holds a control character or half of a surrogate pair");
+  if (NO_XML.test(text)) throw local("not-encodable", "a text holds a control character or half a surrogate pair");
   const bytes = utf8(text);
   head(writer, bytes.length, [0xa0, 32, 0xd9, 0xda, 0xdb]).raw(bytes);
 }
@@ -126,7 +126,7 @@ export class Unpacker {
       case 0xde: return this.#map(reader.u16(), depth);
       case 0xdf: return this.#map(reader.u32(), depth);
     }
-    throw local("bad-content", `byte ${kind} begins no value of MessagePack that the protocol has`);
+    throw local("bad-content", `byte ${kind} begins no value of the protocol`);
   }
 
   #int(number: bigint): Value {
@@ -162,7 +162,7 @@ export class Unpacker {
   #deeper(count: number, depth: number): void {
     if (depth === 0) throw local("too-deep", `lists and maps nest at most ${MOST_DEPTH} deep`);
     // Each has a byte at least: nobody makes this client reserve memory by a number alone.
-    if (count > this.reader.left) throw local("bad-content", `${count} values are announced, and ${this.reader.left} bytes are there`);
+    if (count > this.reader.left) throw local("bad-content", `${count} values are announced, ${this.reader.left} bytes are there`);
   }
 
   #list(count: number, depth: number): Value {

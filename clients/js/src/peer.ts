@@ -12,7 +12,7 @@ import type { ConnectOptions, LinkState } from "./options.js";
 import { type Entry, Outbox } from "./outbox.js";
 import type { Parcel } from "./parcel.js";
 import { Pending } from "./pending.js";
-import { type Place, Places, wayTo } from "./places.js";
+import { type Place, Places, guardOf, wayTo } from "./places.js";
 import { MOST_PRIORITY } from "./precedence.js";
 import { Queue } from "./queue.js";
 import { type Fields, Time, fieldsOf, int, wallMicros } from "./value.js";
@@ -299,7 +299,7 @@ export class Peer {
   #receive(parcel: Parcel | null, size: number): void {
     const now = performance.now();
     // What lies there after a halt of the whole program was said before, and the hub has given the link up: a device must not move by it.
-    if (now - Math.min(this.#heard, this.#spoke) > this.me!.limits.gone) return this.#endServing("this program stood still for longer than the link lives without a sign of life");
+    if (now - Math.min(this.#heard, this.#spoke) > this.me!.limits.gone) return this.#endServing("this program stood still for longer than its connection lives");
     this.#heard = now;
     if (this.state.state === "stale") this.#state({ state: "connected", door: shown(this.#wire!.pipe.door), resumed: false });
     if (parcel?.family === "time") return this.#time(parcel);
@@ -316,7 +316,7 @@ export class Peer {
     else if (parcel.name === "ack" && this.#link) {
       if (!this.#ledger.acknowledged(int(fields, "read") ?? -1)) {
         this.#link = null;
-        return this.#endServing("the hub acknowledges what was never sent");
+        return this.#endServing("the hub acknowledges what was not sent");
       }
       this.pump();
     }
@@ -337,10 +337,13 @@ export class Peer {
   #event(parcel: Parcel): void {
     const event = eventOf(parcel);
     const path = parcel.context ?? "/";
-    this.places.get(path)?.latch.observe(event);
+    const place = this.places.get(path);
+    place?.latch.observe(event);
     switch (event.type) {
       case "message":
         if (event.name === "status") this.#status(event);
+        // Another token guards the channel from now on, or none.
+        if (place && event.name === "halt" && event.sender === "hub") place.guard = guardOf(event.content, place.guard);
         break;
       case "grabbed":
       case "released":

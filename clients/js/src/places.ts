@@ -1,6 +1,6 @@
 // The contexts that this peer wants to be in.
 import { Latch } from "./latch.js";
-import { type Fields, fieldsOf, int, isFields, list, text } from "./value.js";
+import { type Fields, type Value, fieldsOf, int, list, text } from "./value.js";
 import type { Delivery } from "./parcel.js";
 
 /** The token that guards a channel, as far as is known. */
@@ -27,6 +27,15 @@ export interface Place {
   readonly latch: Latch;
 }
 
+/** What a reply to a join, or the hub's `halt`, says of the token that guards the channel; what was known before if it does not speak of that. */
+export function guardOf(told: Value | undefined, before: GuardState | null = null): GuardState | null {
+  const fields = fieldsOf(told);
+  if (!fields["guard"]) return before;
+  const guard = fieldsOf(fields["guard"]);
+  const [token, owner] = [text(guard, "token"), text(guard, "owner")];
+  return token === undefined ? null : { token, names: list(guard, "names").map(String), fence: int(guard, "fence") ?? 0, ...(owner === undefined ? {} : { owner }) };
+}
+
 /** Whether a path is this context or below it. */
 export function isWithin(path: string, top: string): boolean {
   return top === "/" || path === top || path.startsWith(`${top}/`);
@@ -40,6 +49,8 @@ export function wayTo(path: string): string[] {
 
 export class Places {
   readonly #all = new Map<string, Place>();
+  /** What was heard of stops, also in channels that are gone: a hub that began anew without one knows no stop there. */
+  readonly #latches: Record<string, Latch> = {};
 
   get(path: string): Place | undefined {
     return this.#all.get(path);
@@ -51,7 +62,7 @@ export class Places {
   }
 
   add(path: string, terms: Fields | undefined): Place {
-    const place: Place = { path, terms, joined: Promise.resolve({}), kind: "", delivery: "reliable", guard: null, latch: new Latch() };
+    const place: Place = { path, terms, joined: Promise.resolve({}), kind: "", delivery: "reliable", guard: null, latch: (this.#latches[path] ??= new Latch()) };
     this.#all.set(path, place);
     return place;
   }
@@ -60,11 +71,7 @@ export class Places {
   joined(place: Place, reply: Fields): void {
     place.kind = text(reply, "kind") ?? "";
     place.delivery = (text(reply, "delivery") ?? "reliable") as Delivery;
-    const guard = fieldsOf(reply["guard"]);
-    const [token, owner] = [text(guard, "token"), text(guard, "owner")];
-    place.guard = null;
-    if (!isFields(reply["guard"]) || token === undefined) return;
-    place.guard = { token, names: list(guard, "names").map(String), fence: int(guard, "fence") ?? 0, ...(owner === undefined ? {} : { owner }) };
+    place.guard = guardOf(reply);
   }
 
   remove(place: Place): void {

@@ -139,3 +139,42 @@ test("a request to stop is sent again after a loss, and what lets go is dropped 
   await again;
   assert.deepEqual(hub.heard.filter(({ name }) => name === "stop").map(({ content }) => content?.reason), ["smoke", "smoke"]);
 });
+
+test("a halt of the hub tells which token guards the channel from now on; nobody else's does", async (t) => {
+  const hub = await FakeHub.start();
+  t.after(() => hub.stop());
+  const alice = await connect(hub.url, { guest: true, webSocket: WebSocket });
+  t.after(() => alice.close());
+  const arm = await alice.channel("/robot/arm");
+  const [connection] = hub.connections;
+  const says = (sender, guard) => connection.say({ family: "message", name: "halt", sender, context: "/robot/arm", content: { guard } });
+  const guard = { token: "/robot/token", names: ["command"], owner: "bob", fence: 3 };
+  const events = arm.events();
+  says("bob", guard);
+  await until(events, ({ name, sender }) => name === "halt" && sender === "bob");
+  assert.equal(arm.guard.owner, undefined);
+  says("hub", guard);
+  await until(events, ({ name, sender }) => name === "halt" && sender === "hub");
+  assert.deepEqual(arm.guard, guard);
+  const command = (fence) => ({ family: "message", name: "command", context: "/robot/arm", sender: "bob", fence });
+  assert.deepEqual([undefined, 2, 3].map((fence) => arm.permits(command(fence))), [false, false, true]);
+  says("hub", {});
+  await eventually(() => arm.guard === null);
+});
+
+test("a device says what it has heard of stops when its channel is back", async (t) => {
+  const hub = await FakeHub.start();
+  t.after(() => hub.stop());
+  const alice = await connect(hub.url, { guest: true, webSocket: WebSocket });
+  t.after(() => alice.close());
+  const events = (await alice.channel("/robot/arm", { device: true })).events();
+  const [connection] = hub.connections;
+  connection.say({ family: "message", name: "stop", context: "/robot/arm", extra: { stop: 7 } });
+  await until(events, ({ name }) => name === "stop");
+  // As where a hub began anew, and knows no stop.
+  connection.say({ family: "event", name: "deleted", context: "/robot/arm", content: {} });
+  await until(events, ({ type }) => type === "deleted");
+  await alice.channel("/robot/arm", { device: true });
+  const joins = hub.heard.filter(({ name, context }) => name === "join" && context === "/robot/arm");
+  assert.deepEqual(joins.at(-1).content.device, { stop: 7, stopped: true });
+});

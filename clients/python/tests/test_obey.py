@@ -125,6 +125,38 @@ async def test_a_device_obeys_stops_by_their_numbers_and_says_after_each_how_it_
     assert all(parcel.delivery == "latest" and parcel.echo is False for parcel in kept)
 
 
+async def test_a_device_says_what_it_has_heard_of_stops_when_its_channel_is_back(robot: Robot) -> None:
+    await robot.start()
+    robot.say("stop", "smoke", number=7)
+    await robot.until(lambda: robot.arm.is_stopped)
+    # As where a hub began anew, and knows no stop.
+    robot.tell("deleted")
+    await robot.until(lambda: ARM not in robot.client._core.places)
+    await robot.client.obey(ARM, Recorder())
+    joins = [parcel.content for parcel in robot.hub.heard if parcel.is_("context", "join") and parcel.context == ARM]
+    assert joins[-1]["device"] == {"stop": 7, "stopped": True}
+
+
+async def test_a_device_learns_from_a_halt_which_token_guards_it_from_now_on(robot: Robot) -> None:
+    await robot.start()
+    robot.say("command", "free")
+    await robot.until(lambda: "free" in robot.told)
+    guard = {"token": "/robot/token", "names": ["command"], "owner": "bob", "fence": 3}
+    # Only the hub may say so.
+    robot.say("halt", {"guard": guard})
+    robot.say("command", "free again")
+    await robot.until(lambda: "free again" in robot.told)
+    robot.say("halt", {"guard": guard}, sender="hub")
+    robot.say("command", "unguarded", id=4)
+    robot.say("command", "mine", fence=3)
+    await robot.until(lambda: "mine" in robot.told)
+    assert robot.told == ["free", "free again", "halt: safe state", "mine"]
+    assert [(status["id"], status["error"]["name"]) for status in robot.said("status")] == [(4, "older-fence")]
+    robot.say("halt", {"guard": {}}, sender="hub")
+    robot.say("command", "unguarded")
+    await robot.until(lambda: "unguarded" in robot.told)
+
+
 async def test_what_the_hub_itself_says_is_the_safe_state(robot: Robot) -> None:
     await robot.start()
     # Only the hub may say this.

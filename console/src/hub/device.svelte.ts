@@ -1,5 +1,6 @@
 // A device as the page knows it: its newest state and how old that is, and what became of its commands.
 import type { Failure, HubEvent, Message, PlainFields } from "../worker/protocol.js";
+import { type Rest, restOf, unreachedSince } from "../worker/rest.js";
 import { HubError, failureOf } from "./failure.js";
 import { fields, flag, list, number, text } from "./fields.js";
 import type { Hub } from "./hub.svelte.js";
@@ -45,6 +46,8 @@ export class DeviceState {
   error = $state<number | undefined>(undefined);
   /** When it arrived. */
   arrived = $state<number | undefined>(undefined);
+  /** Since when it is not reached, ms since 1970; `late` if it was so before this page heard of it. */
+  unreached = $state.raw<{ since: number; late: boolean } | undefined>(undefined);
   /** The token that guards it. */
   token = $state<string | undefined>(undefined);
   guarded = $state.raw<readonly string[]>([]);
@@ -63,6 +66,11 @@ export class DeviceState {
     readonly path: string,
   ) {
     this.#teller = new Teller(hub);
+  }
+
+  /** What it says of its rest. */
+  get rest(): Rest {
+    return restOf(this.state);
   }
 
   /** Since when nobody knows how it is, ms since 1970: it is gone, or the link is down and it has not told since. */
@@ -107,6 +115,7 @@ export class DeviceState {
     const message = event as Message;
     const content = fields(message.content);
     if (message.name === "state") {
+      this.unreached = this.#unreachedBy(message, content);
       this.state = content;
       if (message.said !== undefined) this.#told.add(message.said);
       if (this.#told.size > TOLD) this.#told.delete(this.#told.keys().next().value!);
@@ -131,6 +140,13 @@ export class DeviceState {
       if (all.size > 500) all.delete(all.keys().next().value!);
       this.statuses = all;
     }
+  }
+
+  #unreachedBy({ born, said, arrived }: Message, content: PlainFields): { since: number; late: boolean } | undefined {
+    if (restOf(content) !== "unreached") return undefined;
+    const told = unreachedSince(content, born === undefined || said === undefined ? 0 : said - born);
+    if (told !== undefined) return { since: told, late: false };
+    return this.unreached ?? { since: born ?? arrived, late: this.arrived === undefined };
   }
 
   /** The status of a command of this page. */

@@ -73,10 +73,7 @@ export const commands = {
   mount: ["pan", "tilt"],
   holding: (name: string) => `holds ${name}`,
   jaws: (grip: string, opening: number) => `jaws ${grip === "close" ? "closed" : grip}, ${opening.toFixed(0)} mm apart`,
-  moving: "moving",
-  resting: "at rest",
   before: "before that",
-  stands: "stopped",
   /** What to do next, by the code of an error. */
   next: {
     syntax: "Edit the command: the mistake is marked.",

@@ -1,6 +1,6 @@
 // The fleet of mobile robots. Only its page needs these, so they are not among the texts that are loaded first.
 import { common } from "./common.js";
-import { duration } from "./format.js";
+import { duration, timeOfDay } from "./format.js";
 
 const robots = (count: number): string => (count === 1 ? "1 robot" : `${count} robots`);
 
@@ -11,6 +11,8 @@ export const fleet = {
   of: (words: string, count: number) => (count === 1 ? `robot ${words}` : `robots ${words}`),
   columns: { unit: "Robot", state: "State", at: "Place (mm)", battery: "Battery", trip: "Round trip", owner: "Owner", age: "Age" },
   states: { lost: "lost", stopped: "stopped", expired: "watchdog expired", driving: "driving", standing: "standing" },
+  stoppedMoving: "stopped, moving",
+  lostSince: (ms: number) => `lost since ${timeOfDay(ms)}`,
   low: "battery low",
   summary: "Robots by what they do; each shows only those",
   filter: "Filter: driving, lost, low, mine, owner:carol, 1-20, battery<30, !free",
@@ -43,16 +45,17 @@ export const fleet = {
   selection: (words: string, count: number) => (count === 0 ? "No robot is selected" : `Selected: ${count === 1 ? "robot" : `${count} robots,`} ${words}`),
   selectFirst: "Select robots first: in the table, or on the map.",
   nobody: "None of the selected robots is yours: grab their tokens first.",
+  notStopped: "None of the selected robots is stopped, as far as this page knows.",
   noLink: "The link to the hub is not up.",
   unknownSince: (ms: number) => `How the robots are is ${common.unknownSince(ms)}: who tells it has gone, or the link is down. This is what was told before.`,
   stopReason: "Stop these, in the fleet of the console",
-  actions: { grab: "Grab", release: "Give back", send: "Send…", stop: "Stop these", unstop: "Let these go" },
+  actions: { grab: "Grab", release: "Give back", send: "Send…", stop: "Stop these", unstop: "Let these go…" },
   titles: {
     grab: "Grab the tokens of the selected robots",
     release: "Give the tokens of the selected robots back",
     send: "Send a command to robots",
     stop: "Stop the selected robots; it needs no token. STOP above stops all",
-    unstop: "Let the selected robots move again",
+    unstop: "Let the selected robots move again, after a question that names who has stopped them",
   },
   done: {
     grab: (words: string) => `Grabbed: ${words}.`,
@@ -105,6 +108,7 @@ export const fleet = {
     place: "Place",
     owner: "Owner",
     state: "State",
+    rest: "Rest",
     channel: "Channel",
     noCamera: (path: string) => `This robot has no camera: there is no ${path}.`,
     camera: "Camera, 1 picture a second",

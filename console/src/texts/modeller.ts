@@ -12,8 +12,8 @@ export const modeller = {
   elements: "Elements",
   /** What an element is called where it has no name yet. */
   element: (place: number, name: string) => (name ? `${name}` : `element ${place}`),
-  columns: { place: "Bit", name: "Name", kind: "Kind", type: "Type", count: "Count or parts", max: "Most bytes", sound: "Sound", unit: "Unit", scale: "Scale", range: "Range", safe: "Safe", rate: "Rate (unit/s)", motion: "Motion", period: "Period (ms)", of: "Effector", members: "Members", doc: "Description" },
-  heads: { count: "Count, parts or bytes", unit: "Unit or sound", of: "Effector or members" } as Record<string, string>,
+  columns: { place: "Bit", name: "Name", kind: "Kind", type: "Type", count: "Count or parts", max: "Most bytes", sound: "Sound", unit: "Unit", scale: "Scale", range: "Range", safe: "Safe", rate: "Rate (unit/s)", motion: "Motion", period: "Period (ms)", lasts: "Lasts (ms)", of: "Effector", members: "Members", doc: "Description" },
+  heads: { count: "Count, parts or bytes", unit: "Unit or sound", period: "Period, or lasts (ms)", of: "Effector or members" } as Record<string, string>,
   kinds: { effector: "effector", sensor: "sensor", monitor: "monitor", command: "command", module: "module", event: "event", "memory-command": "memory command", "memory-event": "memory event" } as Record<string, string>,
   noType: "no data",
   motions: { "": "absolute", interpolated: "interpolated", incremental: "incremental" } as Record<string, string>,

@@ -17,6 +17,7 @@ export const simulacrum = {
     up: "session up",
     lost: "lost: no session",
     unknown: "nothing is known of the session",
+    rest: "Rest",
     trip: "Round trip",
     clock: "Robot’s clock",
     ahead: (micros: number, error: number | undefined) => `${micros < 0 ? "−" : "+"}${duration(Math.abs(micros) / 1000)}${error === undefined ? "" : ` ± ${duration(error / 1000)}`}`,

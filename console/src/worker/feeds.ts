@@ -22,7 +22,7 @@ const NAMES = 10_000;
 const PORTION = 500;
 
 /** When a message was made, by this machine's clock. */
-function birth(client: Client, parcel: Parcel): { born: number | undefined; error: number | undefined } {
+export function birth(client: Client, parcel: Parcel): { born: number | undefined; error: number | undefined } {
   const age = client.clock.age(parcel);
   return age ? { born: Date.now() - age.micros / 1000, error: age.error / 1000 } : { born: undefined, error: undefined };
 }
@@ -146,7 +146,7 @@ class Feed {
     readonly client: Client,
     readonly path: string,
     readonly kind: Watch["kind"],
-    readonly hears: (path: string, event: Event) => void,
+    readonly hears: (path: string, event: Event, client: Client) => void,
   ) {}
 
   /** The least thinning with which everybody gets what they want; undefined is none. */
@@ -228,7 +228,7 @@ class Feed {
 
   async #read(): Promise<void> {
     for await (const event of this.client.peer.events(this.path)) {
-      this.hears(this.path, event);
+      this.hears(this.path, event, this.client);
       this.#notes(event);
       if (event.type === "message") this.#message(event);
       else this.#give(happeningOf(event, this.path));
@@ -282,7 +282,7 @@ export class Feeds {
   constructor(
     readonly say: Say,
     /** Hears each event of what is watched. */
-    readonly hears: (path: string, event: Event) => void,
+    readonly hears: (path: string, event: Event, client: Client) => void,
   ) {}
 
   /** There is a new peer: nobody watches anything. */

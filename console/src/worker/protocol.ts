@@ -1,5 +1,6 @@
 // What page and worker say to each other.
 import type { ContextInfo, ContextKind, Member } from "mom-client";
+import type { Rest } from "./rest.js";
 
 /** Content that can be cloned: a time is a `Date`, a whole double a number. */
 export type Plain = null | boolean | number | bigint | string | Date | Uint8Array | Plain[] | { [key: string]: Plain };
@@ -135,6 +136,12 @@ export interface StopAnswer {
   word?: "obeys" | "silent" | "lost" | undefined;
   /** ms from the order until this page knew that it obeys. */
   after?: number | undefined;
+  /** Of one that was stopped: what is known of its rest. */
+  rest?: Rest | undefined;
+  /** ms from the order until this page knew that it rests, or, as long as it does not, until it was last told so. */
+  told?: number | undefined;
+  /** Since when it is not reached, where it has said so, ms since 1970. */
+  since?: number | undefined;
 }
 
 /** A stop that holds in a channel: who said it, when (ms since 1970), why, and for which devices if not for all. */
@@ -231,6 +238,8 @@ export interface Calls {
   stop(order: Order, top: string, terms: StopTerms): void;
   /** The same for one channel, without a report. */
   stopOne(order: Order, path: string, terms: StopTerms): void;
+  /** The stops that hold in these channels by the hub's word; nothing of those of which it says none. */
+  stopsOf(paths: string[]): StandingStop[];
   /** Any other request of docs/PROTOCOL.md; gives the content of its answer. */
   ask(family: "context" | "token", name: string, path: string, content?: PlainFields): PlainFields;
   /** Makes a context; joins its parent. */

@@ -1,5 +1,5 @@
 // The stops that hold, as far as this page knows of them: who stopped what, and why.
-import { type Client, type ContextInfo, type Event, type StopState, fieldsOf } from "mom-client";
+import { type Client, type ContextInfo, type Event, type StopState, MomError, fieldsOf } from "mom-client";
 import type { Say } from "./port.js";
 import type { StandingStop } from "./protocol.js";
 
@@ -21,6 +21,8 @@ function stateOf(event: Event): StopState | null | undefined {
   if (parcel.timestamp) state.since = parcel.timestamp;
   return state;
 }
+
+const standingStop = (path: string, { number, by, user, reason, since, only }: StopState): StandingStop => ({ path, number, by, user, reason, since: since?.toDate().getTime(), only });
 
 export class Standing {
   readonly #stops = new Map<string, StopState>();
@@ -77,9 +79,21 @@ export class Standing {
   #changed(): void {
     this.#telling ??= setTimeout(() => {
       this.#telling = undefined;
-      const stops = [...this.#stops].map(([path, { number, by, user, reason, since, only }]): StandingStop => ({ path, number, by, user, reason, since: since?.toDate().getTime(), only }));
+      const stops = [...this.#stops].map(([path, state]) => standingStop(path, state));
       this.say({ word: "stops", stops: stops.sort((one, other) => one.path.localeCompare(other.path)) });
     }, TOGETHER);
+  }
+
+  /** The stops that hold in these channels, by the hub's word now; nothing of those of which it says none. */
+  async ask(paths: readonly string[]): Promise<StandingStop[]> {
+    const client = this.#client;
+    if (!client) throw new MomError("local", "not-logged-in", "log in first");
+    const asked = paths.map(async (path) => {
+      const state = await client.stops(path);
+      this.learn(path, state);
+      return state.stopped ? [standingStop(path, state)] : [];
+    });
+    return (await Promise.allSettled(asked)).flatMap((answer) => (answer.status === "fulfilled" ? answer.value : []));
   }
 
   /** Asks the hub which channels are stopped. */

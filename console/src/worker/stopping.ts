@@ -3,13 +3,16 @@ import { type Client, MomError, type StopReport as Told } from "mom-client";
 import { isWithin } from "./ordered.js";
 import { failure } from "./plain.js";
 import type { Say } from "./port.js";
-import type { Login, Order, StopReport, StopTerms } from "./protocol.js";
+import type { Login, Order, StopAnswer, StopReport, StopTerms } from "./protocol.js";
+import { type Said, isAtRest, restOf } from "./rest.js";
 import { Second } from "./second.js";
 import type { Standing } from "./standing.js";
 
 /** Where the hub has not answered over the link for so long, the stop goes over a second connection as well; ms. */
 const LINK = 300;
 const AROUND = 10_000;
+/** The hub waits so long until what is stopped rests, ms. */
+const REST = 3000;
 /** A second connection that has not taken it after so many ms may hang as the link does: there is another one, and so on. */
 const AGAIN = [700, 1400, 2800];
 /** So many channels are let go by one request, which may have 64 KiB. */
@@ -17,8 +20,8 @@ const PORTION = 400;
 
 /** The requests of an order; only a large hub needs several to let go. */
 async function* asked(client: Client, order: Order, top: string, { reason, stops = {}, within }: StopTerms): AsyncGenerator<Told> {
+  if (order === "stop") return yield await client.stop(top, { within: within ?? REST, ...(reason === undefined ? {} : { reason }) });
   const wait = within === undefined ? {} : { within };
-  if (order === "stop") return yield await client.stop(top, { ...wait, ...(reason === undefined ? {} : { reason }) });
   const own = stops[top];
   if (own !== undefined) return yield await client.unstop(top, own, wait);
   const all = Object.entries(stops);
@@ -47,24 +50,33 @@ class Ordered {
     this.tell(structuredClone(this.report));
   }
 
-  #device(path: string, device: string): StopReport["devices"][number] {
+  #device(path: string, device: string): StopAnswer {
     const { devices } = this.report;
     let found = devices.find((each) => each.path === path && each.device === device);
     if (!found) devices.push((found = { path, device }));
     return found;
   }
 
-  /** A device has said how it stands. */
-  heard(path: string, device: string, stopped: boolean): void {
-    if (!isWithin(path, this.report.top) || stopped !== (this.report.order === "stop")) return;
-    this.#obeys(path, device);
+  /** A device has said how it stands, and since when it is not reached, if it is not. */
+  heard(path: string, device: string, said: Said, since?: number): void {
+    if (!isWithin(path, this.report.top) || said["stopped"] !== (this.report.order === "stop")) return;
+    this.#rests(this.#obeys(path, device), said, since);
     this.changed();
   }
 
-  #obeys(path: string, device: string): void {
+  #obeys(path: string, device: string): StopAnswer {
     const answer = this.#device(path, device);
     answer.word = "obeys";
     answer.after ??= performance.now() - this.#begun;
+    return answer;
+  }
+
+  #rests(answer: StopAnswer, said: Said, since?: number): void {
+    if (this.report.order !== "stop") return;
+    const rest = restOf(said);
+    // When it came to rest is asked for, not when that was said again.
+    if (!isAtRest(rest) || rest !== answer.rest) answer.told = performance.now() - this.#begun;
+    [answer.rest, answer.since] = [rest, since];
   }
 
   #taken(): void {
@@ -102,9 +114,14 @@ class Ordered {
     const own = { by: name, user, ...(reason === undefined ? {} : { reason }), only: [] };
     report.denied = [...new Set([...report.denied, ...denied])];
     for (const { path, number, guarded, devices, newer, error } of channels) {
-      for (const { peer, word } of devices) {
+      for (const said of devices) {
+        const { peer, word } = said;
         if (word === "silent" || word === "lost") this.#device(path, peer).word ??= word;
-        else this.#obeys(path, peer);
+        else {
+          const answer = this.#obeys(path, peer);
+          // An answer over another connection may be older than what the device itself has said.
+          if (!isAtRest(answer.rest)) this.#rests(answer, { ...said }, answer.since);
+        }
       }
       if (guarded && !devices.length && !report.empty.includes(path)) report.empty.push(path);
       if (error !== undefined) report.refused.push({ path, failure: { kind: "refused", code: error, text: error, content: {} } });
@@ -157,8 +174,8 @@ export class Stopping {
   }
 
   /** A device has said how it stands. */
-  heard(path: string, device: string, stopped: boolean): void {
-    this.#now?.heard(path, device, stopped);
+  heard(path: string, device: string, said: Said, since?: number): void {
+    this.#now?.heard(path, device, said, since);
   }
 
   /** Stops one place, or lets it go, and makes no report; what fails, fails. */
@@ -172,7 +189,8 @@ export class Stopping {
       if (!state.stopped) return;
       throw new MomError("local", "not-seen", `${state.by ?? "somebody"} has stopped it${state.reason ? `: ${state.reason}` : ""}. Let it go again if it may move.`);
     }
-    const ordered = new Ordered(order, path, { ...terms, within: 0 }, this.standing, () => undefined);
+    // What an unstop did not lift the hub knows when it is kept: an answer that waits for nothing names no newer stop.
+    const ordered = new Ordered(order, path, order === "stop" ? { ...terms, within: 0 } : terms, this.standing, () => undefined);
     await this.#carryOut(ordered);
     const [refused] = ordered.report.refused;
     const [newer] = ordered.report.newer;

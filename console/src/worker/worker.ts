@@ -1,11 +1,12 @@
 // The worker: the hub's client, away from the page's thread.
 import { type Client, type Parcel, MomError, type TokenGuard, fieldsOf } from "mom-client";
-import { Feeds } from "./feeds.js";
+import { Feeds, birth } from "./feeds.js";
 import { Jogging } from "./jogging.js";
 import { OrderedStops, isWithin } from "./ordered.js";
 import { answerFields, failure, plainFields } from "./plain.js";
 import type { Say } from "./port.js";
 import type { CallName, Calls, Owned, Question } from "./protocol.js";
+import { unreachedSince } from "./rest.js";
 import { Session } from "./session.js";
 import { Standing } from "./standing.js";
 import { Stopping } from "./stopping.js";
@@ -19,6 +20,13 @@ type Answers = { [Name in CallName]: (...args: Parameters<Calls[Name]>) => Retur
  */
 const FIRST_ID = Date.now() * 1024;
 
+/** By how much the clock of a message's sender is ahead of this machine's, ms; 0 where that is not known. */
+function ahead(client: Client, parcel: Parcel): number {
+  const said = parcel.timestamp?.toDate().getTime();
+  const { born } = birth(client, parcel);
+  return said === undefined || born === undefined ? 0 : said - born;
+}
+
 /** Serves one page over a port. */
 export function serve(port: { postMessage: (word: unknown, transfer: Transferable[]) => void; onmessage: ((event: MessageEvent) => void) | null }): void {
   const say: Say = (word, transfer = []) => port.postMessage(word, transfer);
@@ -29,11 +37,11 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
   }, () => feeds.ask());
   const standing = new Standing(say, () => session.isUp);
   const stopping: Stopping = new Stopping(say, () => session.login, () => session.isUp, standing);
-  const feeds: Feeds = new Feeds(say, (path, event) => {
+  const feeds: Feeds = new Feeds(say, (path, event, client) => {
     standing.heard(path, event);
     if (event.type !== "message" || event.name !== "state" || event.history) return;
-    const { stopped } = fieldsOf(event.content);
-    if (typeof stopped === "boolean") stopping.heard(path, event.sender, stopped);
+    const said = fieldsOf(event.content);
+    if (typeof said["stopped"] === "boolean") stopping.heard(path, event.sender, said, unreachedSince(said, ahead(client, event.parcel)));
   });
   const jogging = new Jogging(() => session.client, say);
   const ordered = new OrderedStops();
@@ -83,6 +91,7 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
       if (order === "stop") stops(path);
       return stopping.one(order, path, terms);
     },
+    stopsOf: (paths) => standing.ask(paths),
     ask: async (family, name, path, content) => {
       const parcel: Parcel = { family, name, context: path, ...(content ? { content } : {}) };
       return answerFields((await session.client.request(parcel)).content);

@@ -141,6 +141,7 @@ fn change_context(
         None => parent.map(|parent| world.terms_above(parent)).unwrap_or_default(),
     };
     let role = world.make_role(spec, managed)?;
+    let guarded = guard_of(&role) != world.tree.get(number).and_then(|context| guard_of(&context.role));
     lose_guarding(world, number, &role, out);
     world.unguard(number);
     let Some(context) = world.tree.get_mut(number) else {
@@ -164,6 +165,9 @@ fn change_context(
     }
     world.link_guards(number);
     world.changed.insert(number);
+    if guarded {
+        world.push_guard(number, out);
+    }
     if let Some(changed) = changed {
         if changed {
             world.correct_record(number, out);
@@ -174,15 +178,26 @@ fn change_context(
     Ok(())
 }
 
+/// The token that guards a channel, and the messages that need it.
+fn guard_of(role: &Role) -> Option<(Path, Arc<[String]>)> {
+    let guard = match role {
+        Role::Channel(channel) => channel.guard.as_ref()?,
+        Role::Session | Role::Token(_) => return None,
+    };
+    Some((guard.token.clone(), Arc::clone(&guard.names)))
+}
+
 /// Takes the token of a channel from its owner if the channel has another guard from now on, or none: the owner could
 /// not stop any more what it has set in motion there.
 fn lose_guarding(world: &mut World, channel: ContextNumber, new: &Role, out: &mut Vec<Effect>) {
-    let guard = |role: &Role| match role {
-        Role::Channel(channel) => channel.guard.as_ref().map(|guard| guard.token.clone()),
-        _ => None,
-    };
-    let old = world.tree.get(channel).and_then(|context| guard(&context.role));
-    let token = old.filter(|old| guard(new).as_ref() != Some(old));
+    let old = world
+        .tree
+        .get(channel)
+        .and_then(|context| guard_of(&context.role));
+    let new = guard_of(new).map(|(token, _)| token);
+    let token = old
+        .map(|(token, _)| token)
+        .filter(|old| new.as_ref() != Some(old));
     // The token may have been deleted before.
     let token = token.and_then(|token| world.tree.token_at(&token).map(|(number, _)| number));
     if let Some(token) = token {

@@ -4,8 +4,9 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use mom_proto::event;
-use mom_proto::{Content, ContextNumber, Family};
+use mom_proto::{Content, ContextNumber, Family, Map, Value};
 
+use super::describe::describe_owner;
 use crate::Effect;
 use crate::token::state::{SafeState, Token};
 use crate::world::World;
@@ -30,6 +31,23 @@ impl World {
         if let Some((_, token)) = token.filter(|(_, token)| token.owner.is_some()) {
             push(self, token, &BTreeSet::from([channel]), out);
         }
+    }
+}
+
+impl World {
+    /// Halts the devices of a channel that has another guard from now on, or none, and tells all its members which: what runs there began
+    /// when others were allowed to begin it.
+    pub(crate) fn push_guard(&self, channel: ContextNumber, out: &mut Vec<Effect>) {
+        let Some(context) = self.tree.get(channel) else {
+            return self.fault("a channel has another guard that is not there");
+        };
+        let guard = context.channel().and_then(|channel| channel.guard.as_ref());
+        let guard = guard.map_or_else(Map::new, |guard| {
+            let token = self.tree.token_at(&guard.token);
+            guard.describe(token.map_or_else(Map::new, |(_, token)| describe_owner(self, token)))
+        });
+        let content = Content::from(Value::from(Map::new().with("guard", guard)));
+        push_to(self, channel, event::HALT, Some(content), out);
     }
 }
 

@@ -1,13 +1,13 @@
 //! What a device says of itself, and what it hears when it comes: a device moves nothing before it knows.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use mom_proto::{Code, ContextNumber, Family, Fence, Map, Parcel, STOP, Value, WireError, event};
 
 use super::map_of;
 use crate::world::World;
-use crate::world::stops::{Rest, Standing, Word};
+use crate::world::stops::{Called, Kept, Rest, Standing, Word};
 use crate::{Effect, PeerId};
 
 /// The message by which a device says how it stands.
@@ -176,6 +176,51 @@ impl World {
         }
     }
 
+    /// Has those who wait for the stop of a session wait for a device, too, that has joined below it meanwhile and stands for it.
+    pub(crate) fn await_device(&mut self, channel: ContextNumber, peer: PeerId) {
+        let Some(context) = self.tree.get(channel) else {
+            return;
+        };
+        let latch = self.stops.latch(&context.path);
+        let member = context.members.get(&peer).filter(|member| member.device);
+        let Some(name) = member.map(|member| Arc::clone(&member.facts.name)) else {
+            return;
+        };
+        if latch.holding(&name).is_none() {
+            return;
+        }
+        let guard = context.channel().and_then(|channel| channel.guard.as_ref());
+        let called = Called {
+            path: context.path.clone(),
+            number: latch.newest,
+            guarded: guard.is_some(),
+            devices: BTreeMap::from([(Arc::clone(&name), Word::Silent)]),
+            // Its record was asked for when the channel was told, and is not waited for again.
+            kept: if self.settings.keeps_stops {
+                Kept::Yes
+            } else {
+                Kept::No
+            },
+            newer: Vec::new(),
+            failed: None,
+        };
+        for call in self.stops.calls.values_mut() {
+            let only = call.order.as_ref().and_then(|order| order.only.as_ref());
+            let is_meant = call.verb == mom_proto::Verb::Stop
+                && called.path.is_within(&call.path)
+                && only.is_none_or(|only| only.contains(&name));
+            match call.channels.get_mut(&channel) {
+                _ if !is_meant => continue,
+                Some(known) => drop(known.devices.entry(Arc::clone(&name)).or_insert(Word::Silent)),
+                None => {
+                    call.others = call.others.saturating_sub(1);
+                    call.channels.insert(channel, called.clone());
+                }
+            }
+            self.changed.insert(channel);
+        }
+    }
+
     /// Tells a device that has come back how it stands in each of its channels.
     pub(crate) fn tell_device_everywhere(&self, peer: PeerId, out: &mut Vec<Effect>) {
         let joined = self.peers.get(peer).map(|peer| &peer.joined);
@@ -221,24 +266,31 @@ impl World {
         let Some(stopped) = map.get("stopped").and_then(Value::as_bool) else {
             return;
         };
-        // A device of protocol 1.1 names no number: what it says now is what it does.
-        let number = match map.get(STOP) {
-            None => None,
-            Some(Value::Int(number)) => Some(Fence::from(u64::try_from(*number).unwrap_or_default())),
-            Some(_) => Some(Fence::default()),
-        };
         let standing = standing_of(&map);
+        let newest = context.map_or(Fence::default(), |context| self.stops.latch(&context.path).newest);
+        let number = match map.get(STOP) {
+            // A device of protocol 1.1 names no number, and says nothing of its rest: what it says now is what it does.
+            None if standing.reached.is_none() && standing.rest.is_none() => None,
+            // A number that was never given out is no word.
+            Some(Value::Int(number)) => {
+                let number = Fence::from(u64::try_from(*number).unwrap_or_default());
+                Some(number)
+                    .filter(|number| *number <= newest)
+                    .or(Some(Fence::default()))
+            }
+            _ => Some(Fence::default()),
+        };
         let calls: Vec<u64> = self.stops.calls.keys().copied().collect();
         for call in calls {
             let wants = self.stops.calls.get(&call).map(|call| call.verb);
             let obeys = stopped == (wants == Some(mom_proto::Verb::Stop));
             // Nobody waits for the rest of what may move again.
             let standing = if stopped { standing } else { Standing::default() };
-            let note = |called: &mut crate::world::stops::Called| {
+            let note = |called: &mut Called| {
                 // Who may move need not have heard of the stop that was lifted.
                 let heard = !stopped || number.is_none_or(|number| number >= called.number);
                 if let Some(word) = called.devices.get_mut(&name).filter(|_| obeys && heard) {
-                    *word = Word::Obeys(standing);
+                    *word = Word::Obeys(standing.after(*word));
                 }
             };
             self.note_call(call, channel, note, out);
@@ -246,13 +298,13 @@ impl World {
     }
 }
 
-/// What the content of a device's `state` says of its rest.
+/// What the content of a device's `state` says of its rest. What is no boolean does not say that it stands, nor that it is reached.
 fn standing_of(state: &Map) -> Standing {
-    let flag = |key: &str| state.get(key).and_then(Value::as_bool);
+    let flag = |key: &str, otherwise: bool| state.get(key).map(|said| said.as_bool().unwrap_or(otherwise));
     let rest = state.get("rest").and_then(Value::as_str);
     Standing {
-        moving: flag("moving") == Some(true),
-        reached: flag("reached"),
+        moving: flag("moving", true) == Some(true),
+        reached: flag("reached", false),
         rest: [Rest::Measured, Rest::NotMeasured]
             .into_iter()
             .find(|known| rest == Some(known.word())),

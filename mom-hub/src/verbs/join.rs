@@ -106,6 +106,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     request.push_ok(world, Some(content), out);
     if device.is_some() {
         world.tell_device(number, request.peer, false, out);
+        world.await_device(number, request.peer);
     }
     Ok(())
 }

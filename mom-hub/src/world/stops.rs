@@ -94,7 +94,7 @@ pub(crate) struct Order {
 }
 
 /// One channel of a call.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Called {
     pub(crate) path: Path,
     /// The stop, or the newest one that the unstop lifts.
@@ -291,6 +291,15 @@ impl Standing {
     /// Whether its rest is still to come.
     pub(crate) fn is_awaited(self) -> bool {
         self.moving || (self.reached.is_some() && self.rest.is_none())
+    }
+
+    /// What it says now, after another word: who spoke of its rest before, and does so no more, is not known to stand.
+    pub(crate) fn after(self, before: Word) -> Standing {
+        let spoke = matches!(before, Word::Obeys(standing) if standing != Standing::default());
+        Standing {
+            moving: self.moving || (spoke && self == Standing::default()),
+            ..self
+        }
     }
 }
 

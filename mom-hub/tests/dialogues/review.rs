@@ -418,8 +418,65 @@ fn a_channel_that_another_token_guards_from_now_on_is_safe_first() {
     let same = configure_with(&mut hub, &guarded("/lab/key"));
     assert!(told(&same, BOB, "halt").is_empty(), "nothing has changed");
     let effects = configure_with(&mut hub, &guarded("/lab/other"));
-    assert_eq!(told(&effects, BOB, "halt").len(), 1);
+    let halts = told(&effects, BOB, "halt");
+    assert_eq!(
+        (halts.len(), guard_in(&halts[1])),
+        (2, Some("/lab/other".to_owned()))
+    );
     assert_eq!(owner(&mut hub, 0, "/lab/key"), None);
+}
+
+/// The token that a `halt` says guards the channel from now on; empty if none does.
+fn guard_in(halt: &Parcel) -> Option<String> {
+    let content = halt.value();
+    let guard = content.get("guard")?;
+    let token = guard.get("token").and_then(Value::as_str);
+    Some(token.unwrap_or_default().to_owned())
+}
+
+#[test]
+fn what_runs_where_a_guard_appears_is_halted_and_who_is_there_learns_the_guard() {
+    let guarded = |names: &[&str]| {
+        let names: Vec<Value> = names.iter().map(|name| Value::from(*name)).collect();
+        let arm = spec("/lab/arm", "channel");
+        [
+            spec("/lab", "session"),
+            spec("/lab/key", "token").with("manager", "first-come"),
+            match names.is_empty() {
+                true => arm,
+                false => arm.with("guard", Map::new().with("token", "/lab/key").with("names", names)),
+            },
+        ]
+    };
+    let mut hub = hub(&guarded(&[]));
+    for peer in [ALICE, BOB] {
+        ok(&mut hub, peer, "context join", "/lab", Map::new());
+    }
+    ok(&mut hub, BOB, "context join", "/lab/arm", Map::new());
+    ok(&mut hub, ALICE, "token grab", "/lab/key", Map::new());
+    let effects = configure_with(&mut hub, &guarded(&["command"]));
+    let halts = told(&effects, BOB, "halt");
+    assert_eq!(
+        (halts.len(), guard_in(&halts[0])),
+        (1, Some("/lab/key".to_owned()))
+    );
+    let content = halts[0].value();
+    let guard = content.get("guard").expect("a guard");
+    assert_eq!(guard.get("owner").and_then(Value::as_str), Some("alice"));
+    assert!(guard.get("fence").is_some() && halts[0].fence.is_none());
+    assert!(
+        told(&configure_with(&mut hub, &guarded(&["command"])), BOB, "halt").is_empty(),
+        "nothing has changed"
+    );
+    // More messages need the token from now on; then none does.
+    let more = told(
+        &configure_with(&mut hub, &guarded(&["command", "grip"])),
+        BOB,
+        "halt",
+    );
+    assert_eq!(more.len(), 1);
+    let none = told(&configure_with(&mut hub, &guarded(&[])), BOB, "halt");
+    assert_eq!(none.last().and_then(|halt| guard_in(halt)), Some(String::new()));
 }
 
 #[test]

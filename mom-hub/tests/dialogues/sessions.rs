@@ -142,6 +142,53 @@ fn standing(stage: &Stage) -> Vec<Value> {
     devices.expect("devices").to_vec()
 }
 
+/// Three that joined while a session was being stopped: below it, in a channel that nothing was known of, and elsewhere.
+#[test]
+fn a_device_that_joins_below_a_session_that_is_being_stopped_is_waited_for() {
+    let mut contexts = lab(Map::new());
+    contexts.push(context("/lab/chat", "channel"));
+    let mut stage = at(Stage::new(contexts));
+    stage.say("bob", "context stop /lab within=900");
+    stage.arrive("cam", 1);
+    stage.say("cam", "context join /lab");
+    stage.say("cam", "context join /lab/chat device=true");
+    stage.say("arm", "message state /lab/arm stopped=true number=1");
+    assert_eq!(stage.at(899), [""; 0], "it waits for the other");
+    let heard = stage.say("cam", "message state /lab/chat stopped=true number=1");
+    assert_eq!(of(&heard, &["bob"]), ["bob< ok"]);
+    assert_eq!(answers(&stage), ["/lab/arm arm=stopped", "/lab/chat cam=stopped"]);
+    // One that says nothing is named.
+    stage.say("bob", "context stop /lab within=900");
+    stage.arrive("deaf", 1);
+    stage.say("deaf", "context join /lab");
+    stage.say("deaf", "context join /lab/arm device=true");
+    stage.say("arm", "message state /lab/arm stopped=true number=2");
+    stage.say("cam", "message state /lab/chat stopped=true number=2");
+    stage.at(1800);
+    assert_eq!(
+        answers(&stage),
+        ["/lab/arm arm=stopped deaf=silent", "/lab/chat cam=stopped"]
+    );
+}
+
+#[test]
+fn who_spoke_of_its_rest_and_does_so_no_more_is_not_known_to_stand() {
+    let mut stage = stage();
+    stage.say("bob", "context stop /lab/arm within=900");
+    stage.say(
+        "arm",
+        "message state /lab/arm stopped=true moving=true reached=true number=1",
+    );
+    stage.say("arm", "message state /lab/arm stopped=true number=1");
+    assert_eq!(stage.at(899), [""; 0]);
+    assert_eq!(stage.at(900), ["bob< ok"]);
+    let device = Map::new()
+        .with("peer", "arm")
+        .with("word", "stopped")
+        .with("moving", true);
+    assert_eq!(standing(&stage), [device.into()]);
+}
+
 #[test]
 fn an_answer_waits_until_the_devices_rest() {
     let mut stage = stage();

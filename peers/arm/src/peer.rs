@@ -122,21 +122,28 @@ pub async fn run_arm(
     let mut shutdown = pin!(shutdown);
     server.report(&mut out);
     tracing::info!(peer = client.name(), channel = %channel.path(), "the arm is ready");
-    loop {
+    // Whatever ends it, the arm is halted.
+    let result = loop {
         outlet.push(&mut out);
         let wake = server.next_wake().map(|due| clock.at(due));
         tokio::select! {
-            () = &mut shutdown => break,
+            () = &mut shutdown => break Ok(()),
             event = zone_event(&mut zones) => {
-                let event = event.ok_or_else(|| ended(&client))?;
+                let Some(event) = event else { break Err(ended(&client)) };
                 handle_zone(&mut server, &event, &gate, clock.now(), &mut out);
             }
             event = events.next() => match event {
                 Some(event) => {
                     // What the hub told of zones before is heard first: who grabs a zone may use it at once.
-                    while let Some(event) = ready(zone_event(&mut zones)).await {
-                        let event = event.ok_or_else(|| ended(&client))?;
-                        handle_zone(&mut server, &event, &gate, clock.now(), &mut out);
+                    let mut are_gone = false;
+                    while let (false, Some(event)) = (are_gone, ready(zone_event(&mut zones)).await) {
+                        match event {
+                            Some(event) => handle_zone(&mut server, &event, &gate, clock.now(), &mut out),
+                            None => are_gone = true,
+                        }
+                    }
+                    if are_gone {
+                        break Err(ended(&client));
                     }
                     log(&event);
                     let age = match &event {
@@ -150,19 +157,19 @@ pub async fn run_arm(
                         _ => {}
                     }
                 }
-                None => return Err(ended(&client)),
+                None => break Err(ended(&client)),
             },
             () = sleep_or_wait(wake) => server.advance(clock.now(), &mut out),
             () = outlet.work() => {}
         }
-    }
+    };
     server.halt("its program ends", clock.now(), &mut out);
     outlet.push(&mut out);
     if timeout(FAREWELL, outlet.flush()).await.is_err() {
         tracing::warn!("the last messages did not leave in time");
     }
     client.close().await;
-    Ok(())
+    result
 }
 
 /// Waits for news of the zones, if there are any.

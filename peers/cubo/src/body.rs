@@ -59,6 +59,8 @@ pub struct Cubo {
     lips: Percent,
     /// The gesture that is played, and until when.
     gesture: Option<(u8, WheelTime)>,
+    /// When it rests by itself, unless it is given a later time before.
+    held: WheelTime,
     touched_until: WheelTime,
     picture_at: WheelTime,
     /// Blobs under way to the middle.
@@ -100,6 +102,23 @@ pub struct Doings {
     pub sessions: (u64, u64),
 }
 
+/// What a body looks like.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Glance {
+    /// Where it is.
+    pub pose: Pose,
+    /// Whether its wheels turn.
+    pub turns: bool,
+    /// Where arms and head are.
+    pub posture: Joints,
+    /// How far its lips are open.
+    pub lips: Percent,
+    /// The gesture that is played.
+    pub gesture: Option<u8>,
+    /// Whether a sound is played, or waits to be.
+    pub sounds: bool,
+}
+
 /// An event that is to be told.
 enum Raised {
     Service,
@@ -132,6 +151,7 @@ impl Cubo {
             posture: Joints::default(),
             lips: Percent::default(),
             gesture: None,
+            held: WheelTime::MAX,
             touched_until: 0,
             picture_at: 0,
             outgoing: VecDeque::new(),
@@ -171,11 +191,19 @@ impl Cubo {
         self.trace = Some(trace);
     }
 
+    /// Has it rest by itself at `until`, whatever it is told by then, unless a later time is given before; [`WheelTime::MAX`] is never. It
+    /// is what the hardware does whose program stands still.
+    pub fn hold(&mut self, until: WheelTime) {
+        self.held = until;
+        // Simulated wheels take every time.
+        let _ = self.wheels.hold(until, self.now);
+    }
+
     /// Lets time pass until `now`, µs.
     pub fn advance(&mut self, now: WheelTime) {
         if let Some(mut trace) = self.trace.take() {
             trace.until(now, |at| {
-                self.pass(at);
+                self.live(at);
                 let pose = self.wheels.pose(self.now);
                 let Joints {
                     left_arm,
@@ -186,15 +214,42 @@ impl Cubo {
             });
             self.trace = Some(trace);
         }
+        self.live(now);
+    }
+
+    /// As [`advance`](Self::advance), and writes nothing.
+    fn live(&mut self, now: WheelTime) {
+        if now >= self.held {
+            self.pass(self.held);
+            self.rest();
+        }
         self.pass(now);
     }
 
+    /// What it does without anybody's word: its wheels stop, arms, head and lips go back, gesture and sound end.
+    fn rest(&mut self) {
+        self.hold(WheelTime::MAX);
+        (self.speeds, self.joints, self.lips) = Default::default();
+        self.set_wheels();
+        self.gesture = None;
+        self.playout.silence();
+    }
+
     fn pass(&mut self, now: WheelTime) {
-        let seconds = (now - self.now).max(0) as f64 / 1e6;
-        self.now = self.now.max(now);
-        if self.gesture.is_some_and(|(_, until)| now >= until) {
+        // It moves on from the end of a gesture as from each other moment.
+        if let Some((_, until)) = self.gesture
+            && now >= until
+        {
+            self.follow(until);
             self.gesture = None;
         }
+        self.follow(now);
+    }
+
+    /// Arms and head follow what is wanted of them until `now`.
+    fn follow(&mut self, now: WheelTime) {
+        let seconds = (now - self.now).max(0) as f64 / 1e6;
+        self.now = self.now.max(now);
         self.play();
         let share = 1.0 - (-seconds / JOINT_LAG).exp();
         let wanted = self.wanted_posture();
@@ -316,6 +371,19 @@ impl Cubo {
                 self.pictures = self.pictures.wrapping_add(1);
                 self.send_blob(elements::Camera::PLACE, self.pictures, picture);
             }
+        }
+    }
+
+    /// What it looks like now.
+    pub fn glance(&mut self) -> Glance {
+        let (turns, pose) = self.motion();
+        Glance {
+            pose,
+            turns,
+            posture: self.posture,
+            lips: self.lips,
+            gesture: self.gesture.map(|(number, _)| number),
+            sounds: !self.playout.is_silent(),
         }
     }
 
@@ -452,8 +520,11 @@ impl Body for Cubo {
     }
 
     fn active(&mut self, element: u8, active: bool) {
-        if element == elements::Camera::PLACE {
-            self.sees = active;
+        match element {
+            elements::Camera::PLACE => self.sees = active,
+            elements::Gesture::PLACE if !active => self.gesture = None,
+            elements::Speaker::PLACE if !active => self.playout.silence(),
+            _ => {}
         }
     }
 
@@ -463,8 +534,53 @@ impl Body for Cubo {
             false => {
                 self.doings.sessions.1 += 1;
                 self.outgoing.clear();
-                self.playout.silence();
+                self.rest();
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn driving() -> Cubo {
+        let mut cubo = Cubo::new(Pose::new(1000.0, 2500.0, 0.0)).unwrap();
+        cubo.advance(0);
+        cubo.hold(2_000_000);
+        cubo.set_left_wheel(MmPerS(200.0));
+        cubo.set_right_wheel(MmPerS(200.0));
+        cubo.set_lips(Percent(50.0));
+        cubo.run_gesture(2);
+        cubo
+    }
+
+    /// A program that stood still looks at its body again: that has rested since its time, as hardware has.
+    #[test]
+    fn a_body_rests_when_its_time_has_passed_whenever_that_is_looked_at() {
+        let (mut looked_at, mut frozen) = (driving(), driving());
+        for ms in 1..=3000 {
+            looked_at.advance(ms * 1000);
+        }
+        for body in [&mut looked_at, &mut frozen] {
+            body.advance(60_000_000);
+            let glance = body.glance();
+            assert!((glance.pose.x - 1400.0).abs() < 1.0, "{glance:?}");
+            assert!(!glance.turns && glance.gesture.is_none() && glance.lips.0 == 0.0);
+            assert!(glance.posture.left_arm.0.abs() < 0.1, "{glance:?}");
+        }
+    }
+
+    /// A later time that is given before keeps it going.
+    #[test]
+    fn a_body_that_is_held_on_goes_on() {
+        let mut cubo = driving();
+        for seconds in 1..=5 {
+            cubo.advance(seconds * 1_000_000);
+            cubo.hold(seconds * 1_000_000 + 2_000_000);
+        }
+        assert!(cubo.glance().turns);
+        let way = cubo.glance().pose.x - 1000.0;
+        assert!((900.0..1000.0).contains(&way), "{way} mm in 5 s");
     }
 }

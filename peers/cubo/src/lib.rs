@@ -3,9 +3,11 @@
 //! [`model`] is generated from `config/cubo.toml`; with the feature `opus` its loudspeaker takes Opus instead of samples. [`Cubo`] is its body, here a simulated one; [`serve`] connects both to a socket.
 
 mod body;
+mod page;
 mod serve;
 
-pub use body::{Cubo, Doings, Touch};
+pub use body::{Cubo, Doings, Glance, Touch};
+pub use page::serve_page;
 pub use serve::{CuboHandle, serve};
 
 /// The model's file, for the middle.

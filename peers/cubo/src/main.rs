@@ -7,12 +7,12 @@ use std::pin::pin;
 
 use anyhow::{Context, bail};
 use clap::Parser;
-use mom_cubo::{Cubo, CuboHandle, serve};
+use mom_cubo::{Cubo, CuboHandle, serve, serve_page};
 use mom_rsp::Key;
 use mom_rsp::robot::Settings;
 use mom_trace::Trace;
 use mom_wheels::Pose;
-use tokio::net::UdpSocket;
+use tokio::net::{TcpListener, UdpSocket};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
@@ -22,6 +22,7 @@ Examples:
   mom-cubo --write-key cubo.key
   mom-cubo --write-model cubo.toml
   mom-cubo --listen 0.0.0.0:7700 --robot-key cubo.key --at 1000,1000,90
+  mom-cubo --web 127.0.0.1:8080
 
 It waits for the computer that thinks for it (mom-simulacrum), rests when nothing was heard of that for 500 ms, and plans nothing by itself.
 With a key it answers only who has it. Without one packets travel in the open, which is for loopback and trials. The log goes to the standard
@@ -46,6 +47,10 @@ struct CuboArgs {
     /// ms without a packet after which it rests
     #[arg(long, value_name = "MS", default_value = "500", value_parser = clap::value_parser!(u16).range(50..=10_000))]
     watchdog: u16,
+    /// Where it serves its own page (HTTP), to whoever can reach it: what its body looks like, also as /status.json; port 0 takes a free one,
+    /// which is said
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    web: Option<SocketAddr>,
     /// Where it begins on its floor of 5 m by 5 m: mm, mm, degrees
     #[arg(
         long,
@@ -105,10 +110,30 @@ async fn main() -> anyhow::Result<()> {
         .with_context(|| format!("cannot listen on {}", args.listen))?;
     writeln!(std::io::stdout(), "cubo listens on {}", socket.local_addr()?)?;
     let robot = CuboHandle::new(body, settings)?;
+    let page = match args.web {
+        Some(web) => Some(listen(web).await?),
+        None => None,
+    };
+    let page = page.map(|page| tokio::spawn(serve_page(page, robot.clone())));
     tracing::info!("the robot waits for its middle");
-    serve(socket, robot, &mut shutdown)
+    let served = serve(socket, robot, &mut shutdown).await;
+    if let Some(page) = page {
+        page.abort();
+    }
+    served.context("the socket failed")
+}
+
+/// The listener of its page.
+async fn listen(web: SocketAddr) -> anyhow::Result<TcpListener> {
+    let page = TcpListener::bind(web)
         .await
-        .context("the socket failed")
+        .with_context(|| format!("cannot listen on {web}"))?;
+    writeln!(
+        std::io::stdout(),
+        "cubo shows itself on http://{}/",
+        page.local_addr()?
+    )?;
+    Ok(page)
 }
 
 fn write_key(file: &std::path::Path) -> anyhow::Result<()> {

@@ -13,7 +13,7 @@ use tokio::time::{Instant, sleep_until, timeout};
 
 use crate::model::LAYOUT;
 use crate::model::robot::{Dispatch, PACKET};
-use crate::{Cubo, End, Touch};
+use crate::{Cubo, End, Glance, Touch};
 
 /// A datagram is at most so long.
 const LONGEST: usize = 65_536;
@@ -59,6 +59,21 @@ impl CuboHandle {
         self.0.lock().body.touch(touch);
     }
 
+    /// What its body looks like now, also while nothing is done with it.
+    #[must_use]
+    pub fn glance(&self) -> Glance {
+        let whole = &mut *self.0.lock();
+        let now = whole.now();
+        whole.body.advance(i64::try_from(now).unwrap_or(i64::MAX));
+        whole.body.glance()
+    }
+
+    /// Whether it has a session.
+    #[must_use]
+    pub fn is_up(&self) -> bool {
+        self.0.lock().end.is_up()
+    }
+
     /// Looks at its body and its end.
     pub fn look<T>(&self, what: impl FnOnce(&mut Cubo, &End) -> T) -> T {
         let whole = &mut *self.0.lock();
@@ -77,8 +92,14 @@ impl Whole {
             return;
         }
         let now = self.now();
+        // What its body did by itself meanwhile comes before what it is told now.
+        self.body.advance(i64::try_from(now).unwrap_or(i64::MAX));
         match self.end.receive(now, datagram, &mut Dispatch(&mut self.body)) {
-            Ok(()) => self.middle = Some(from),
+            Ok(()) => {
+                self.middle = Some(from);
+                let until = self.end.deadline().and_then(|until| i64::try_from(until).ok());
+                self.body.hold(until.unwrap_or(i64::MAX));
+            }
             Err(why @ (Dropped::Busy | Dropped::Model | Dropped::Version)) => {
                 tracing::debug!(%from, %why, "a hello was refused");
                 self.asker = Some(from);

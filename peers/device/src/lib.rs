@@ -6,6 +6,7 @@
 //! decides how they are answered, and [`DevicePeer`] connects it to the hub.
 
 mod clock;
+mod command;
 mod error;
 mod machine;
 mod outlet;
@@ -18,10 +19,11 @@ mod server;
 mod words;
 
 pub use clock::{instant_of, sleep_or_wait, time_since};
+pub use command::{Command, Order, Progress, QueueEvent, State};
 pub use error::{DeviceError, ErrorName};
 pub use machine::Machine;
 pub use outlet::{Outlet, Sending, sender};
-pub use queue::{Command, CommandQueue, MAX_WAITING, Order, Progress, QueueEvent, STATE_PERIOD, State};
+pub use queue::{CommandQueue, MAX_WAITING, STATE_PERIOD};
 pub use rest::{AtRest, REST, Rest, Sample};
 pub use run::DevicePeer;
 pub use script::{Attachments, MAX_ATTACHED, MAX_BYTES, MAX_STATEMENTS, MAX_WAIT, Script, Statement};

@@ -4,7 +4,7 @@ use std::fmt;
 
 use mom_client::Map;
 
-use crate::{Attachments, DeviceError, DeviceTime, STATE_PERIOD, Script, Word, Words};
+use crate::{Attachments, DeviceError, DeviceTime, STATE_PERIOD, Sample, Script, Word, Words};
 
 /// A device without its queue, its owner and its link: what its actions are, and how it carries one out.
 ///
@@ -24,6 +24,10 @@ pub trait Machine: fmt::Debug {
 
     /// µs within which it stands once it is halted, whatever it did before. It says that it rests by this only where it does not measure.
     const STOPPING_TIME: DeviceTime = 1_000_000;
+
+    /// µs for which what was begun may go on while the program stands still, and by which a later statement may begin too late. The
+    /// mechanism has a deadline of its own; whatever is under way after a longer silence is ended.
+    const PATIENCE: DeviceTime = 1_000_000;
 
     /// The numbers of its position differ by less than this, each in its unit, while it rests.
     const TOLERANCE: f64 = 1.0;
@@ -103,6 +107,11 @@ pub trait Machine: fmt::Debug {
 
     /// What commands may be based on: where the device is, as it stands in the state, key by key (M35).
     fn position(&self) -> Map;
+
+    /// What is measured of all of it that can move, at this time, by which it rests; none where something that may have moved is not measured.
+    fn measured(&self, at: DeviceTime) -> Option<Sample> {
+        Sample::of(&self.position(), at)
+    }
 
     /// What else stands in the state.
     fn report(&self) -> Map {

@@ -2,11 +2,11 @@
 
 use std::collections::VecDeque;
 use std::fmt::Debug;
-use std::sync::Arc;
 
-use mom_client::{HUB, Map};
+use mom_client::HUB;
 
-use crate::rest::{Rest, Sample};
+use crate::command::{Command, Order, QueueEvent, State};
+use crate::rest::Rest;
 use crate::{AtRest, DeviceError, DeviceTime, ErrorName, MAX_ATTACHED, Machine, Script, Statement};
 
 /// µs between two states while a device moves, unless its machine says otherwise: 20 Hz.
@@ -41,35 +41,15 @@ pub struct CommandQueue<M: Machine> {
     changes_hands: bool,
     /// Until when the new owner's command waits, if there is one.
     waits_until: Option<DeviceTime>,
+    /// For how long the program has stood still, while that is made up for.
+    silence: Option<DeviceTime>,
 }
 
 /// µs that a new owner waits beyond twice the stopping time until the device rests.
-const PATIENCE: DeviceTime = 1_000_000;
+const INTERLOCK: DeviceTime = 1_000_000;
 
 /// µs after which what was heard of a device that rests does not say that it still does.
 const OLD: DeviceTime = 3_000_000;
-
-/// Whose command it is.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Order {
-    /// Who sent it.
-    pub peer: Arc<str>,
-    /// Its id, if it has one.
-    pub id: Option<u64>,
-    /// The fence under which it was sent, if its channel is guarded.
-    pub fence: Option<u64>,
-}
-
-/// A command in the queue.
-#[derive(Debug, Clone)]
-pub struct Command<A> {
-    /// Whose it is.
-    pub order: Order,
-    /// What is to be done.
-    pub script: Script<A>,
-    /// When it is too old to begin.
-    pub use_by: Option<DeviceTime>,
-}
 
 /// The command being carried out.
 #[derive(Debug)]
@@ -79,66 +59,6 @@ struct Active<A> {
     begun: usize,
     /// When the present statement ends, if it is a `wait`, or none has begun; else when its action is done.
     ends: Option<DeviceTime>,
-}
-
-/// The command being carried out, and how far it is.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Progress {
-    /// Whose it is.
-    pub order: Order,
-    /// The statement being carried out, or the last one begun; 1 for the first, 0 before it.
-    pub statement: u32,
-    /// How many statements the command has.
-    pub of: u32,
-}
-
-/// What is known of the device at one time.
-#[derive(Debug, Clone, PartialEq)]
-pub struct State {
-    /// Rises with every change.
-    pub seq: u64,
-    /// Where it is: what commands are based on.
-    pub position: Map,
-    /// What else is told of it.
-    pub report: Map,
-    /// Whether it moves, or does not rest yet though it is to stand.
-    pub moving: bool,
-    /// How it is known that it rests, if it is.
-    pub rest: Option<AtRest>,
-    /// Whether it can tell its mechanism what to do.
-    pub reached: bool,
-    /// Whether it takes no command until it is released.
-    pub stopped: bool,
-    /// The command being carried out.
-    pub executing: Option<Progress>,
-    /// How many commands wait behind it.
-    pub waiting: usize,
-}
-
-/// The events of a device, in order.
-#[derive(Debug, Clone, PartialEq)]
-pub enum QueueEvent {
-    /// A command is checked and waits.
-    Waiting(Progress),
-    /// Its next statement began.
-    Executing(Progress),
-    /// It was carried out to its end.
-    Finished(Progress),
-    /// It ended before.
-    Failed(Progress, DeviceError),
-    /// The state changed: every [`Machine::PERIOD`] while the device moves, and at rest at the end of each command.
-    State(State),
-}
-
-impl<A> Command<A> {
-    fn progress(&self, begun: usize) -> Progress {
-        let count = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
-        Progress {
-            order: self.order.clone(),
-            statement: count(begun),
-            of: count(self.script.statements().len()),
-        }
-    }
 }
 
 impl<M: Machine> CommandQueue<M> {
@@ -159,6 +79,7 @@ impl<M: Machine> CommandQueue<M> {
             halting: false,
             changes_hands: false,
             waits_until: None,
+            silence: None,
         }
     }
 
@@ -269,7 +190,36 @@ impl<M: Machine> CommandQueue<M> {
     }
 
     /// Lets time pass until `now`.
+    ///
+    /// Where that is more than [`Machine::PATIENCE`] later than [`CommandQueue::next_wake`], the program has stood still: no statement begins for
+    /// which it would have had to be there, and all commands end.
     pub fn advance(&mut self, now: DeviceTime, events: &mut Vec<QueueEvent>) {
+        let due = self.next_wake().filter(|_| self.is_busy());
+        let silence = due.map_or(0, |due| now.saturating_sub(due));
+        if silence > M::PATIENCE {
+            self.silence = Some(silence);
+            // For so long the mechanism has gone on by itself.
+            self.carry_on(now - silence + M::PATIENCE, events);
+            if self.is_busy() {
+                self.end_silent(silence, events);
+            }
+            self.silence = None;
+        }
+        self.carry_on(now, events);
+    }
+
+    /// Ends all commands, as their program has stood still.
+    fn end_silent(&mut self, silence: DeviceTime, events: &mut Vec<QueueEvent>) {
+        let text = format!(
+            "{} was halted: its program stood still for {} ms",
+            M::NAME,
+            silence / 1000
+        );
+        let error = DeviceError::new(ErrorName::Halted, text);
+        self.end(error.clone(), &error, events);
+    }
+
+    fn carry_on(&mut self, now: DeviceTime, events: &mut Vec<QueueEvent>) {
         loop {
             match self.active.as_ref().map(|active| self.ends(active)) {
                 // An action that was done without word of it, or before it was looked at, ends now.
@@ -281,7 +231,7 @@ impl<M: Machine> CommandQueue<M> {
                     self.begin_statement(events);
                 }
                 Some(_) => break,
-                None if self.waiting.is_empty() => break,
+                None if self.waiting.is_empty() || self.silence.is_some() => break,
                 None if self.waits_for_rest() => {
                     self.pass(now);
                     if self.waits_for_rest() {
@@ -309,7 +259,7 @@ impl<M: Machine> CommandQueue<M> {
 
     /// Lets a new owner's commands wait for rest, and refuses them where it does not come.
     fn wait_for_rest(&mut self, events: &mut Vec<QueueEvent>) {
-        let longest = 2 * M::STOPPING_TIME + PATIENCE;
+        let longest = 2 * M::STOPPING_TIME + INTERLOCK;
         let until = *self.waits_until.get_or_insert(self.now.saturating_add(longest));
         if self.now < until {
             return;
@@ -333,13 +283,16 @@ impl<M: Machine> CommandQueue<M> {
         self.publish_state(events);
     }
 
-    /// Tells when it has come to rest.
+    /// Tells when it has come to rest, and when it rests no more though nothing drives it.
     fn tell_rest(&mut self, events: &mut Vec<QueueEvent>) {
         if self.told_reached != self.machine.is_reached() {
             self.publish_state(events);
         }
         let known = self.rest.known();
-        if known.is_some() && (known != self.told_rest || self.told_moving) && !self.is_busy() {
+        let comes = known.is_some() && (known != self.told_rest || self.told_moving);
+        // Such as by a push.
+        let goes = known.is_none() && self.told_rest.is_some();
+        if (comes || goes) && !self.is_busy() {
             self.publish_state(events);
         }
     }
@@ -453,8 +406,7 @@ impl<M: Machine> CommandQueue<M> {
             return self.rest.disturb(self.now);
         }
         let measured_at = self.machine.known_at().unwrap_or(self.now);
-        self.rest
-            .observe(Sample::of(&self.machine.position(), measured_at), self.now);
+        self.rest.observe(self.machine.measured(measured_at), self.now);
         if self.rest.known().is_some() {
             (self.halting, self.changes_hands, self.waits_until) = (false, false, None);
         }
@@ -499,6 +451,9 @@ impl<M: Machine> CommandQueue<M> {
             events.push(QueueEvent::Finished(progress));
             return;
         };
+        if let Some(silence) = self.silence {
+            return self.end_silent(silence, events);
+        }
         active.begun += 1;
         events.push(QueueEvent::Executing(active.command.progress(active.begun)));
         match statement {

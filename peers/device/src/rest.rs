@@ -36,8 +36,10 @@ impl AtRest {
 /// What is measured of the device at one time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sample {
-    /// When it was measured.
+    /// When it was measured, at the earliest.
     pub at: DeviceTime,
+    /// And at the latest.
+    until: DeviceTime,
     /// Each number of its position.
     values: Vec<f64>,
 }
@@ -46,7 +48,18 @@ impl Sample {
     /// Of these numbers, always in the same order.
     #[must_use]
     pub fn new(values: Vec<f64>, at: DeviceTime) -> Sample {
-        Sample { at, values }
+        Sample {
+            at,
+            until: at,
+            values,
+        }
+    }
+
+    /// The same where it was measured then at the latest, such as when it came.
+    #[must_use]
+    pub fn until(mut self, until: DeviceTime) -> Sample {
+        self.until = until.max(self.at);
+        self
     }
 
     /// Of its position; none if that has no number.
@@ -68,16 +81,17 @@ impl Sample {
                 (number, _) => values.extend(number),
             }
         }
-        (!values.is_empty()).then_some(Sample { at, values })
+        (!values.is_empty()).then(|| Sample::new(values, at))
     }
 
+    /// Whether it has moved by less than this, all of its numbers together: a turn must not hide behind two that each change a little less.
     fn is_near(&self, other: &Sample, tolerance: f64) -> bool {
-        self.values.len() == other.values.len()
-            && self
-                .values
-                .iter()
-                .zip(&other.values)
-                .all(|(one, other)| (one - other).abs() < tolerance)
+        let pairs = self.values.iter().zip(&other.values);
+        let way = pairs
+            .map(|(one, other)| (one - other).powi(2))
+            .sum::<f64>()
+            .sqrt();
+        self.values.len() == other.values.len() && way < tolerance
     }
 }
 
@@ -130,7 +144,9 @@ impl Rest {
             .as_ref()
             .filter(|first| sample.is_near(first, self.tolerance))
         {
-            Some(first) if sample.at.saturating_sub(first.at) >= REST => self.known = Some(AtRest::Measured),
+            Some(first) if sample.at.saturating_sub(first.until) >= REST => {
+                self.known = Some(AtRest::Measured);
+            }
             // It is not known yet, or was before it stopped to measure.
             Some(_) => self.known = self.known.filter(|known| *known == AtRest::Measured),
             None => (self.first, self.known) = (Some(sample), None),

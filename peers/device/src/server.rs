@@ -5,8 +5,9 @@ use mom_client::{
     StateGate, Time, Value, WireError, event, to_value,
 };
 
+use crate::command::{Command, Order, Progress, QueueEvent, State};
 use crate::pull::{NEXT, Pull};
-use crate::queue::{Command, CommandQueue, Order, Progress, QueueEvent, State};
+use crate::queue::CommandQueue;
 use crate::{Attachments, DeviceError, DeviceTime, ErrorName, Machine, Script};
 
 /// The message that carries a script.
@@ -29,8 +30,8 @@ const SAFE: &str = "the hub ordered the safe state, because the token's owner lo
 /// - A command is obeyed if the fence gate lets it pass, if the state that it was based on (where it names one, as a relative
 ///   one has to) still holds (M35), if it is not too old, and if the device takes its script. Otherwise, and at every later
 ///   change, a `status` is broadcast (M42).
-/// - Whenever the owner changes, for whatever reason, the hub sends `halt`, or the link is lost, all commands end and the device
-///   stands at once: nothing of an old owner is ever under way when a command of the new one begins.
+/// - Whenever the owner changes, for whatever reason, another token guards the channel, the hub sends `halt`, or the link is lost, all
+///   commands end and the device stands at once: nothing of an old owner is ever under way when a command of the new one begins.
 /// - The first motion of a new owner waits until the device rests ([`Machine::TOLERANCE`]), at most twice its stopping time and a second;
 ///   then it is refused as `changing-hands`.
 /// - Anybody's `stop` ends all commands too, and holds until an `unstop` that names it or a newer one ([`Latch`]). A gap in the events
@@ -48,7 +49,9 @@ pub struct DeviceServer<M: Machine> {
     states: StateGate,
     /// Where the device was in the last state that was told.
     told: Option<Map>,
-    /// The newest fence that was heard of.
+    /// The token that guards its channel, once that was looked at.
+    guard: Option<Option<Path>>,
+    /// The newest fence of it that was heard of.
     fence: u64,
     /// That of the command that was taken last, 0 for the hub's.
     commanded: u64,
@@ -78,6 +81,7 @@ impl<M: Machine> DeviceServer<M> {
             latch: Latch::default(),
             states: StateGate::new(start),
             told: None,
+            guard: None,
             fence: 0,
             commanded: 0,
             pull: None,
@@ -136,6 +140,7 @@ impl<M: Machine> DeviceServer<M> {
         out: &mut Vec<Parcel>,
     ) {
         self.advance(now, out);
+        self.watch_guard(gate, now, out);
         if let Some(reaction) = self.latch.observe(event) {
             self.react(event, reaction, now, out);
         }
@@ -338,6 +343,20 @@ impl<M: Machine> DeviceServer<M> {
         Ok(())
     }
 
+    /// Ends all commands where another token guards the channel than before, or one where none did: fences of two tokens say nothing of
+    /// each other, and who was allowed before may not be now.
+    fn watch_guard(&mut self, gate: &FenceGate, now: DeviceTime, out: &mut Vec<Parcel>) {
+        let token = gate.guard().map(|guard| guard.token);
+        if self.guard.as_ref() == Some(&token) {
+            return;
+        }
+        let is_first = self.guard.replace(token).is_none();
+        if !is_first {
+            (self.fence, self.commanded) = (0, 0);
+            self.halt("another token guards its channel from now on", now, out);
+        }
+    }
+
     /// The token has an owner of this fence, perhaps a new one.
     fn take_owner(&mut self, fence: u64, now: DeviceTime, out: &mut Vec<Parcel>) {
         if fence <= self.fence {
@@ -358,7 +377,8 @@ impl<M: Machine> DeviceServer<M> {
 
     /// Ends what older owners have begun, also what their commands left behind: its sender no longer owns the token.
     fn end_older(&mut self, fence: u64, now: DeviceTime, out: &mut Vec<Parcel>) {
-        let is_older = |order: &Order| order.fence.is_some_and(|old| old < fence);
+        // What was sent without a fence, before the channel was guarded, is older than any; the hub's own is the safe state of a change.
+        let is_older = |order: &Order| order.fence.unwrap_or(0) < fence && &*order.peer != HUB;
         let is_left = !self.queue.is_busy() && !self.queue.is_at_rest() && self.commanded < fence;
         if is_left || self.queue.orders().any(is_older) {
             self.halt("the token changed hands", now, out);

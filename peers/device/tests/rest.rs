@@ -359,3 +359,67 @@ fn each_command_of_a_new_owner_has_its_own_time() {
     });
     assert_eq!(refused.count(), 2, "both had waited since the first was sent");
 }
+
+#[test]
+fn a_push_is_told_though_nothing_else_is() {
+    let mut track = Track::of(true, true);
+    track.pass(1_000);
+    let told = track.told.len();
+    assert_eq!(track.queue.state().rest, Some(AtRest::Measured));
+    track.act(|queue, now, events| queue.note(now, |cart| cart.x += 20.0, events));
+    let (_, pushed) = track.states().last().expect("told");
+    assert!(
+        track.told.len() == told + 1 && pushed.rest.is_none(),
+        "{pushed:?}"
+    );
+    track.pass(400);
+    let (_, last) = track.states().last().expect("told");
+    assert_eq!(last.rest, Some(AtRest::Measured), "and where it rests now");
+}
+
+/// Nobody calls the queue for seconds, as when its program is stopped; then all that was due is due at once.
+#[test]
+fn of_a_program_that_stood_still_no_later_statement_begins() {
+    for (script, silence, ended) in [
+        ("go 400; go -400; go 400", 5_000, true),
+        ("wait 100; go 400", 5_000, true),
+        // Its last statement ended while nobody looked, within what the mechanism does by itself.
+        ("go 400", 2_500, false),
+        // No longer than a busy machine may take.
+        ("wait 100; go 400", 900, false),
+    ] {
+        let mut track = Track::of(true, true);
+        let order = Order {
+            peer: "alice".into(),
+            id: None,
+            fence: None,
+        };
+        let command = Command {
+            order,
+            script: Script::read::<Cart>(script).expect("a script"),
+            use_by: None,
+        };
+        track
+            .act(|queue, now, events| queue.submit(command, now, events))
+            .expect("taken");
+        track.pass(1_000 * i64::from(script == "go 400"));
+        let begun = |track: &Track| {
+            let told = track.told.iter();
+            told.filter(|(_, event)| matches!(event, QueueEvent::Executing(_)))
+                .count()
+        };
+        let before = begun(&track);
+        track.now += silence * 1000;
+        track.act(|queue, now, events| queue.advance(now, events));
+        let failed = track.told.iter().find_map(|(_, event)| match event {
+            QueueEvent::Failed(_, error) => Some(error.to_string()),
+            _ => None,
+        });
+        assert_eq!(failed.is_some(), ended, "{script}: {failed:?}");
+        if ended {
+            assert_eq!(begun(&track), before, "{script}: nothing begins");
+            assert!(failed.is_some_and(|text| text.contains("stood still")));
+            assert!(!track.queue.is_busy() && track.queue.machine().drive.is_none());
+        }
+    }
+}

@@ -10,7 +10,7 @@ use mom_brs::Frame;
 use mom_brs::Table;
 use mom_brs::file::EXTENDED;
 use mom_client::{Channel, Client, ClientError, Path};
-use mom_device::{DeviceTime, time_since};
+use mom_device::DeviceTime;
 use mom_fleet::{ensure_session, enter, enter_status, stay};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -163,7 +163,7 @@ pub async fn run(
                 break;
             }
         };
-        let unit = Unit::new(line.unit, options.table).with_clock(move || time_since(begin), epoch);
+        let unit = Unit::new(line.unit, options.table).with_epoch(epoch);
         let robot = Robot::new(place, line, unit, begin, Arc::clone(&missing));
         robots.spawn(robot.live(channel, stopping.clone()));
     }

@@ -72,7 +72,7 @@ pub async fn run(
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), ClientError> {
     let begin = Instant::now();
-    let mut rover = rover.with_clock(move || time_since(begin));
+    let mut rover = rover;
     let ended = live(&client, &mut rover, &options, begin, pin!(shutdown)).await;
     stand(&mut rover, begin).await;
     client.close().await;

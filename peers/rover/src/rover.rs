@@ -20,8 +20,6 @@ const SETTLES: DeviceTime = 500_000;
 const STOPS_AGAIN: DeviceTime = 50_000;
 /// µs between two times that the driver is given while motors run as a statement says.
 const HOLDS_AGAIN: DeviceTime = 100_000;
-/// A statement that begins more µs late than this is not begun: the program stood still.
-const PATIENCE: DeviceTime = HOLD;
 
 /// A robot on its driver.
 ///
@@ -31,8 +29,6 @@ const PATIENCE: DeviceTime = HOLD;
 /// driver refuses is given again until it is taken, and until then the robot moves, as far as it knows.
 pub struct Rover {
     driver: Arc<Mutex<Box<dyn Driver>>>,
-    /// What time it is by the program's clock; none where time passes only as it is told.
-    clock: Option<Arc<dyn Fn() -> DeviceTime + Send + Sync>>,
     chassis: Chassis,
     /// Its number, if it has one.
     unit: Option<u32>,
@@ -90,7 +86,6 @@ impl Rover {
     fn on(driver: Arc<Mutex<Box<dyn Driver>>>, chassis: Chassis, unit: Option<u32>) -> Self {
         Self {
             driver,
-            clock: None,
             chassis,
             unit,
             now: 0,
@@ -105,18 +100,10 @@ impl Rover {
         }
     }
 
-    /// The same with the clock of its program: a statement that should have begun long ago is not begun.
-    #[must_use]
-    pub fn with_clock(mut self, clock: impl Fn() -> DeviceTime + Send + Sync + 'static) -> Self {
-        self.clock = Some(Arc::new(clock));
-        self
-    }
-
     /// The same robot without what it was doing, for another channel: it is on the same driver, so this one has to be left alone.
     #[must_use]
     pub fn again(&self) -> Self {
         let mut rover = Self::on(Arc::clone(&self.driver), self.chassis, self.unit);
-        rover.clock.clone_from(&self.clock);
         (rover.now, rover.sensors) = (self.now, self.sensors);
         (rover.motors, rover.held, rover.stop_again) = (self.motors, self.held, self.stop_again);
         (rover.leds, rover.settles) = (self.leds, self.settles);
@@ -250,12 +237,6 @@ impl Rover {
         self.motors != Motors::STOP && self.now > self.held && !ended
     }
 
-    /// How late it is now for what was to begin at `now`, if that is more than can be made up for.
-    fn is_late(&self) -> Option<DeviceTime> {
-        let late = self.clock.as_ref()?().saturating_sub(self.now);
-        (late > PATIENCE).then_some(late)
-    }
-
     fn driver_failed(&mut self, error: &DriverError) {
         self.doing = Doing::Nothing;
         let name = match error.fault() {
@@ -341,6 +322,7 @@ impl Machine for Rover {
     const NAME: &str = "the robot";
     const VERBS: &[&str] = Action::VERBS;
     const PERIOD: DeviceTime = 100_000;
+    const PATIENCE: DeviceTime = HOLD;
     // It tells whole mm and degrees.
     const TOLERANCE: f64 = 2.0;
 
@@ -372,10 +354,6 @@ impl Machine for Rover {
 
     fn begin(&mut self, action: &Action, now: DeviceTime) -> Result<(), DeviceError> {
         self.now = now;
-        if let Some(late) = self.is_late() {
-            self.stand();
-            return Err(stood_still(late));
-        }
         if !matches!(action, Action::Motor { .. }) && self.motors != Motors::STOP {
             self.stand();
         }

@@ -1,12 +1,13 @@
 //! Mirrored robots as devices of the hub.
 
 use std::future::Future;
+use std::pin::pin;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use mom_client::{Channel, Client, ClientError, Delivery, Event, Events, Family, Map, Parcel, Time, Value};
-use mom_device::{DevicePeer, Outlet, State, sender};
-use mom_fleet::{StatusTeller, ensure_session, enter, enter_status};
+use mom_device::{DevicePeer, Machine as _, Outlet, State, sender, time_since};
+use mom_fleet::{StatusTeller, come_back, ensure_session, enter, enter_status};
 use mom_rsp::Kind;
 use mom_rsp::middle::Notice;
 use mom_wheels::Chassis;
@@ -14,7 +15,7 @@ use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
-use tokio::time::{Instant, sleep_until};
+use tokio::time::{Instant, sleep, sleep_until};
 
 use crate::generator::{GENERATE, answer};
 use crate::{Mirror, Simulacrum, Teller};
@@ -43,11 +44,12 @@ pub struct RobotLine {
 
 /// Has robots obey at the hub, until `shutdown` is done. Then they take their safe values.
 ///
-/// What is missing of their contexts is made first.
+/// What is missing of their contexts is made first. A robot one of whose channels is gone, as it was deleted or the hub began anew, stands
+/// until that is back, and the others go on.
 ///
 /// # Errors
 ///
-/// A context that cannot be made or joined, or a connection that is closed for good.
+/// A context that cannot be made or joined at the beginning, or a connection that is closed for good.
 pub async fn run(
     client: Client,
     lines: Vec<RobotLine>,
@@ -55,25 +57,118 @@ pub async fn run(
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), ClientError> {
     let (stop, stopping) = watch::channel(false);
+    let begin = Instant::now();
     let mut robots = JoinSet::new();
     for line in lines {
-        let robot = Robot::enter(&client, line, &options).await?;
-        robots.spawn(robot.drive(stopping.clone()));
+        let machine = Mirror::new(line.robot.clone(), line.chassis, line.unit());
+        let site = RobotSite {
+            client: client.clone(),
+            line,
+            options: options.clone(),
+            begin,
+        };
+        let robot = Robot::enter(&site, machine).await?;
+        robots.spawn(live(site, robot, stopping.clone()));
     }
     tracing::info!(
         peer = client.name(),
         robots = robots.len(),
         "the robots are devices of the hub"
     );
-    tokio::select! {
-        () = shutdown => {}
-        // None ends by itself while the hub has its channel.
-        Some(_) = robots.join_next() => tracing::warn!("a robot's channel is gone"),
+    let mut result = Ok(());
+    let mut shutdown = pin!(shutdown);
+    while result.is_ok() || !robots.is_empty() {
+        tokio::select! {
+            () = &mut shutdown => break,
+            ended = robots.join_next(), if !robots.is_empty() => match ended {
+                Some(Ok(Err(error))) => result = Err(error),
+                Some(Err(error)) => tracing::error!(%error, "a robot's task has failed"),
+                Some(Ok(Ok(()))) | None => {}
+            },
+        }
     }
     let _ = stop.send(true);
     while robots.join_next().await.is_some() {}
     client.close().await;
-    Ok(())
+    result
+}
+
+impl RobotLine {
+    /// Its number in a fleet, if its session has one for a name.
+    fn unit(&self) -> Option<u32> {
+        self.path.rsplit_once('/')?.1.parse().ok()
+    }
+}
+
+/// One robot for as long as its gateway lives, in its channels and without them.
+async fn live(
+    site: RobotSite,
+    mut robot: Robot,
+    mut stopping: watch::Receiver<bool>,
+) -> Result<(), ClientError> {
+    loop {
+        let machine = match robot.drive(&mut stopping).await {
+            Some(machine) => machine,
+            None => return Ok(()),
+        };
+        tracing::warn!(robot = site.line.robot.name(), path = %site.line.path, "a channel of the robot is gone; it stands until that is back");
+        match site.come_back(machine, &mut stopping).await? {
+            Some(back) => robot = back,
+            None => return Ok(()),
+        }
+    }
+}
+
+/// Where a robot is at the hub.
+struct RobotSite {
+    client: Client,
+    line: RobotLine,
+    options: SimulacrumOptions,
+    /// When the time of its machine began.
+    begin: Instant,
+}
+
+impl RobotSite {
+    /// Makes what is missing of the robot's contexts, and joins its channel as its device.
+    async fn enter(&self) -> Result<Channel, ClientError> {
+        let path = &self.line.path;
+        if let Some((above, _)) = path.rsplit_once('/').filter(|(above, _)| !above.is_empty()) {
+            ensure_session(&self.client, above).await?;
+        }
+        let token = format!("{path}/token");
+        enter(&self.client, path, &token, self.options.manager.as_deref()).await
+    }
+
+    /// Keeps the robot standing until its channels are back; none if the program stops before.
+    async fn come_back(
+        &self,
+        mut machine: Mirror,
+        stopping: &mut watch::Receiver<bool>,
+    ) -> Result<Option<Robot>, ClientError> {
+        let mut notices = self.line.robot.notices();
+        loop {
+            let mut back = pin!(come_back(|| self.enter()));
+            let entered = loop {
+                tokio::select! {
+                    biased;
+                    _ = stopping.wait_for(|stop| *stop) => return Ok(None),
+                    notice = notices.recv() => if let Ok(notice) = notice {
+                        // Nothing is under way that could fail.
+                        let _ = machine.heard(&notice);
+                    },
+                    entered = &mut back => break entered,
+                    () = sleep(LOOK) => {}
+                }
+                machine.advance(time_since(self.begin));
+            };
+            entered?;
+            match Robot::enter(self, machine.again()).await {
+                Ok(robot) => return Ok(Some(robot)),
+                Err(ClientError::Closed(why)) => return Err(ClientError::Closed(why)),
+                Err(error) => tracing::debug!(%error, "a channel is not back"),
+            }
+        }
+    }
 }
 
 /// A robot between its channels and its middle.
@@ -99,19 +194,10 @@ struct Robot {
 }
 
 impl Robot {
-    async fn enter(
-        client: &Client,
-        line: RobotLine,
-        options: &SimulacrumOptions,
-    ) -> Result<Robot, ClientError> {
-        let RobotLine { robot, path, chassis } = line;
-        let (above, name) = path.rsplit_once('/').unwrap_or_default();
-        let unit: Option<u32> = name.parse().ok();
-        if !above.is_empty() {
-            ensure_session(client, above).await?;
-        }
-        let token = format!("{path}/token");
-        let channel = enter(client, &path, &token, options.manager.as_deref()).await?;
+    async fn enter(site: &RobotSite, machine: Mirror) -> Result<Robot, ClientError> {
+        let RobotSite { client, line, .. } = site;
+        let (robot, path, unit) = (line.robot.clone(), &line.path, line.unit());
+        let channel = site.enter().await?;
         let mirror = enter_status(client, &format!("{path}/simulacrum")).await?;
         let mut blobs = Vec::new();
         for (place, element) in (0..).zip(robot.model().elements()) {
@@ -120,6 +206,7 @@ impl Robot {
                 blobs.push((place, channel));
             }
         }
+        let above = path.rsplit_once('/').unwrap_or_default().0;
         let status = match unit {
             Some(unit) => {
                 let channel = enter_status(client, &format!("{above}/status")).await?;
@@ -130,12 +217,7 @@ impl Robot {
         };
         // Before the first notice.
         let notices = robot.notices();
-        let device = DevicePeer::start(
-            client,
-            &channel,
-            Mirror::new(robot.clone(), chassis, unit),
-            Instant::now(),
-        );
+        let device = DevicePeer::start(client, &channel, machine, site.begin);
         Ok(Robot {
             teller: Teller::new(mirror.path().clone()),
             told: device.state(),
@@ -154,14 +236,15 @@ impl Robot {
         })
     }
 
-    async fn drive(mut self, mut stopping: watch::Receiver<bool>) {
+    /// Obeys until the program stops, or a channel is gone: then the robot as it is, told to stand.
+    async fn drive(mut self, stopping: &mut watch::Receiver<bool>) -> Option<Mirror> {
         let mut outlet = Outlet::new(sender(&self.client));
         tracing::info!(robot = self.robot.name(), channel = %self.channel.path(), mirror = %self.mirror.path(), "a robot is ready");
         // Its session may be older than its place at the hub.
         if self.robot.is_up() {
             self.hear(&Notice::Up);
         }
-        loop {
+        let is_gone = loop {
             self.fail_if_failed();
             let due = self.tell();
             // What cannot be sent is not tried again and again.
@@ -169,8 +252,8 @@ impl Robot {
             outlet.push(&mut self.out);
             tokio::select! {
                 biased;
-                _ = stopping.wait_for(|stop| *stop) => break,
-                more = self.device.step() => if !more { break },
+                _ = stopping.wait_for(|stop| *stop) => break false,
+                more = self.device.step() => if !more { break true },
                 notice = self.notices.recv() => match notice {
                     Ok(notice) => self.hear(&notice),
                     // What was heard is in the mirror; a command whose end was missed is not known to be done.
@@ -178,20 +261,28 @@ impl Robot {
                         let text = format!("{missed} notices of the robot were missed");
                         self.device.fail(&mom_device::DeviceError::new(mom_device::ErrorName::Link, text));
                     }
-                    Err(RecvError::Closed) => break,
+                    Err(RecvError::Closed) => break false,
                 },
                 // One at a time: what takes long must not take all.
                 event = self.asked.next(), if self.made.is_empty() => match event {
                     Some(event) => self.make(event),
-                    None => break,
+                    None => break true,
                 },
                 Some(Ok(answer)) = self.made.join_next() => self.out.push(answer),
                 () = outlet.work() => {}
                 () = sleep_until(due) => {}
             }
-        }
+        };
         // It takes its safe values, whatever becomes of its gateway.
-        self.device.end("its gateway ends").await;
+        let why = if is_gone {
+            "its channel is gone"
+        } else {
+            "its gateway ends"
+        };
+        self.device.halt(why);
+        let machine = is_gone.then(|| self.device.machine().again());
+        self.device.end(why).await;
+        machine
     }
 
     fn hear(&mut self, notice: &Notice) {

@@ -1,17 +1,35 @@
 //! A mirrored robot as a machine of the hub: its owner commands it in the terms of its model.
 
 use mom_client::Map;
-use mom_device::{Attachments, DeviceError, DeviceTime, ErrorName, Machine, Script, Word, Words};
+use mom_device::{Attachments, DeviceError, DeviceTime, ErrorName, Machine, Sample, Script, Word, Words};
 use mom_rover::Rover;
 use mom_rsp::middle::Notice;
-use mom_rsp::{Kind, Motion, Payload, Refused, Sound};
+use mom_rsp::{Kind, Motion, Refused};
 use mom_rsp_model::ModelElement;
-use mom_sound::{Clip, Encoder, SoundError};
 use mom_wheels::Chassis;
+use mom_wheels::pilot::HOLD;
 
 use crate::playing::Playing;
 use crate::teller::thousandths;
-use crate::{Action, Setting, Simulacrum, Wheels, to_wire};
+use crate::{Action, Simulacrum, Wheels};
+
+mod arrival;
+mod checks;
+mod course;
+mod moved;
+mod stop;
+
+use arrival::{Arrival, SLOWEST};
+use checks::{is_asked, is_command, is_effector, is_switched};
+use moved::Moved;
+use stop::Stop;
+
+/// Odometry is in whole mm and degrees.
+const TOLERANCE: f64 = 2.0;
+/// µs that a statement waits for the robot to confirm its last stop.
+const UNCONFIRMED: DeviceTime = 2_000_000;
+/// µs between two looks at what comes without a notice.
+const LOOK: DeviceTime = 20_000;
 
 /// A robot and what is done with it at present.
 ///
@@ -21,14 +39,16 @@ pub struct Mirror {
     robot: Simulacrum,
     /// What drives its wheels, if it has some.
     rover: Option<Rover>,
+    /// Its wheels, as far as it says often enough where it is.
+    wheels: Vec<u8>,
     now: DeviceTime,
     doing: Doing,
     /// The sound that is played, whatever else is done.
     playing: Option<Playing>,
     /// An effector may have another value than its safe one, by a statement that is done.
     is_set: bool,
-    /// Effectors that are switched off until the robot has confirmed it, so that they forget the steps that they have not made.
-    held: Vec<u8>,
+    stop: Stop,
+    moved: Moved,
     failure: Option<DeviceError>,
 }
 
@@ -41,8 +61,14 @@ enum Doing {
     Drives,
     /// These effectors are set until then.
     Set(DeviceTime, Vec<u8>),
-    /// The end of this command is awaited.
-    Command(u32),
+    /// These effectors go to where they were set to.
+    Arrives(Arrival),
+    /// The robot is to acknowledge this command, which then goes on for so many µs.
+    Command(u32, DeviceTime),
+    /// What a command began goes on until then.
+    Runs(DeviceTime),
+    /// It begins when the robot has confirmed its last stop; it has waited since then.
+    Waits(Action, DeviceTime),
 }
 
 impl std::fmt::Debug for Simulacrum {
@@ -55,20 +81,43 @@ impl Mirror {
     /// A robot that stands. Where its model has wheels, this is its chassis.
     #[must_use]
     pub fn new(robot: Simulacrum, chassis: Chassis, unit: Option<u32>) -> Self {
-        let wheels = Wheels::of(&robot, chassis);
-        let rover = wheels.map(|wheels| Rover::new(Box::new(wheels), chassis, unit));
+        let driver = Wheels::of(&robot, chassis);
+        let wheels = driver
+            .as_ref()
+            .map(|driver| driver.measured(SLOWEST))
+            .unwrap_or_default();
+        let rover = driver.map(|driver| Rover::new(Box::new(driver), chassis, unit));
         let mut mirror = Self {
             robot,
             rover,
+            wheels,
             now: 0,
             doing: Doing::Nothing,
             playing: None,
             is_set: false,
-            held: Vec::new(),
+            stop: Stop::default(),
+            moved: Moved::default(),
             failure: None,
         };
-        mirror.rest();
+        mirror.begin_session();
         mirror
+    }
+
+    /// The same robot without what it was doing, for another channel; this one has to be left alone.
+    #[must_use]
+    pub fn again(&self) -> Self {
+        Self {
+            robot: self.robot.clone(),
+            rover: self.rover.as_ref().map(Rover::again),
+            wheels: self.wheels.clone(),
+            now: self.now,
+            doing: Doing::Nothing,
+            playing: None,
+            is_set: self.is_set,
+            stop: self.stop.clone(),
+            moved: self.moved.clone(),
+            failure: None,
+        }
     }
 
     /// The mirror itself.
@@ -84,14 +133,18 @@ impl Mirror {
     /// `link` for a session that is lost, or a command of which nobody knows whether it was executed.
     pub fn heard(&mut self, notice: &Notice) -> Result<(), DeviceError> {
         let name = self.robot.name().to_owned();
-        let awaited = match self.doing {
-            Doing::Command(ticket) => Some(ticket),
-            _ => None,
+        let (awaited, lasts) = match self.doing {
+            Doing::Command(ticket, lasts) => (Some(ticket), lasts),
+            _ => (None, 0),
         };
         let lost = |text: String| Err(DeviceError::new(ErrorName::Link, text));
         match notice {
             Notice::Done { ticket, .. } if awaited == Some(*ticket) => {
-                self.doing = Doing::Done(self.now);
+                // It began before it was acknowledged.
+                self.doing = match lasts {
+                    0 => Doing::Done(self.now),
+                    _ => Doing::Runs(self.now.saturating_add(lasts)),
+                };
                 Ok(())
             }
             Notice::Failed { ticket, .. } if awaited == Some(*ticket) => {
@@ -106,21 +159,13 @@ impl Mirror {
                     "{name} was lost before it acknowledged it: it was executed once, or not at all, and is not sent again"
                 ))
             }
-            Notice::Active {
-                element,
-                active: false,
-            } if self.held.contains(element) => {
-                self.held.retain(|held| held != element);
-                if let Err(error) = self.robot.with(|middle| middle.set_activated(*element, true)) {
-                    tracing::error!(robot = name, element, %error, "it stays switched off");
-                }
-                self.robot.hurry();
+            Notice::Active { .. } => {
+                self.settle();
                 Ok(())
             }
             // What was written before is forgotten, and the robot rests.
             Notice::Up => {
-                self.held.clear();
-                self.rest();
+                self.begin_session();
                 Ok(())
             }
             Notice::Ended => {
@@ -143,6 +188,13 @@ impl Mirror {
         rover.or(self.failure.take())
     }
 
+    /// The robot rests by the end of its last session, as far as nothing has been heard of it in this one.
+    fn begin_session(&mut self) {
+        self.stop.begin_session(&self.robot);
+        self.moved.all(&self.robot, self.now);
+        self.rest();
+    }
+
     /// Has all effectors take their safe values.
     fn rest(&mut self) {
         let robot = self.robot.clone();
@@ -155,30 +207,40 @@ impl Mirror {
     }
 
     fn write_safe(&mut self, place: u8, element: &ModelElement) {
-        // Pictures and sounds end by themselves.
-        if element.quantities.is_empty() || !self.robot.is_up() {
-            // Without a session the robot has its safe values already.
+        // Without a session the robot has its safe values already, as has what is switched off.
+        let can_be_told = self.robot.is_up() && self.robot.with(|middle| middle.activated(place));
+        if element.quantities.is_empty() || !can_be_told {
             return;
+        }
+        if self
+            .robot
+            .with(|middle| middle.wanted(place).is_some_and(|wanted| wanted != element.safe))
+        {
+            self.moved.one(place, self.now);
         }
         let taken = match element.motion {
             Motion::Absolute { .. } => self.robot.write(place, &element.safe),
-            Motion::Incremental { .. } => self.hold(place),
+            Motion::Incremental { .. } => {
+                // It makes none of the steps that it was told and has not made yet: a step of 0 would not take them back.
+                if self.is_set {
+                    self.stop.hold(&self.robot, place);
+                }
+                Ok(())
+            }
         };
-        if let Err(error) = taken {
+        // What is just being switched on again has its safe value.
+        if let Err(error) = taken
+            && error != Refused::Inactive
+        {
             tracing::error!(robot = self.robot.name(), element = element.name, %error, "a safe value was not taken");
         }
     }
 
-    /// An effector that moves by steps makes none of those that it was told and has not made yet: a step of 0 would not take them back.
-    fn hold(&mut self, place: u8) -> Result<(), Refused> {
-        if !self.is_set || !self.robot.with(|middle| middle.activated(place)) {
-            return Ok(());
-        }
-        self.held.push(place);
-        self.robot.with(|middle| middle.set_activated(place, false))
-    }
-
+    /// Has the robot stand, also where it is held to do so already: nothing that it was told before begins once it has confirmed that.
     fn stand(&mut self) {
+        if matches!(self.doing, Doing::Command(..) | Doing::Runs(_)) {
+            self.moved.all(&self.robot, self.now);
+        }
         self.doing = Doing::Nothing;
         self.playing = None;
         let now = self.now;
@@ -186,122 +248,31 @@ impl Mirror {
             rover.halt(now);
         }
         self.rest();
+        self.stop.all(&self.robot);
+        self.robot.hurry();
     }
 
-    /// The element that a statement names.
-    fn named(
-        &self,
-        name: &str,
-        is_right: impl Fn(Kind) -> bool,
-        what: &str,
-    ) -> Result<(u8, &ModelElement), DeviceError> {
-        let syntax = |text: String| DeviceError::new(ErrorName::Syntax, text);
-        let Some((place, element)) = self.robot.element(name) else {
-            let all = self.robot.model().elements().iter();
-            let right: Vec<&str> = all
-                .filter(|element| is_right(element.kind))
-                .map(|element| element.name.as_str())
-                .collect();
-            return Err(syntax(format!(
-                "{} has no element `{name}`; {what} are {}",
-                self.robot.name(),
-                right.join(", ")
-            )));
-        };
-        match is_right(element.kind) {
-            true => Ok((place, element)),
-            false => Err(syntax(format!("`{name}` is not one of {what}"))),
+    /// The robot may have confirmed a stop: what waits for that begins.
+    fn settle(&mut self) {
+        if !self.stop.settle(&self.robot) {
+            return;
+        }
+        // After a stop; what a statement has left set stays where only steps were taken back.
+        if !self.is_set {
+            self.rest();
+        }
+        if let Doing::Waits(..) = self.doing
+            && let Doing::Waits(action, _) = std::mem::replace(&mut self.doing, Doing::Nothing)
+            && let Err(error) = self.start(&action)
+        {
+            self.fail(error);
         }
     }
 
-    fn value(
-        &self,
-        setting: &Setting,
-        is_right: impl Fn(Kind) -> bool,
-        what: &str,
-    ) -> Result<(u8, Vec<u8>), DeviceError> {
-        let (place, element) = self.named(&setting.element, is_right, what)?;
-        let bytes = to_wire(element, &setting.values);
-        let bytes = bytes.map_err(|error| DeviceError::new(ErrorName::Syntax, error.to_string()))?;
-        Ok((place, bytes))
-    }
-
-    /// Whether an action is one of this robot.
-    fn check(&self, action: &Action) -> Result<(), DeviceError> {
-        match action {
-            Action::Wheels(_) if self.rover.is_none() => {
-                let text = format!("{} has no wheels in its model", self.robot.name());
-                Err(DeviceError::new(ErrorName::Syntax, text))
-            }
-            Action::Wheels(mom_fleet::Action::Leds(_)) => {
-                let text = format!("{} has no LEDs; `set` sets its effectors", self.robot.name());
-                Err(DeviceError::new(ErrorName::Syntax, text))
-            }
-            Action::Set { settings, ms } => settings.iter().try_for_each(|setting| {
-                let (place, _) = self.value(setting, is_effector, "the effectors")?;
-                let element = self.robot.model().elements().get(usize::from(place));
-                let speeds = element.map_or(&[][..], |element| &element.quantities);
-                match ms.is_none() && speeds.iter().any(|quantity| quantity.unit.ends_with("/s")) {
-                    true => {
-                        let text = format!(
-                            "`{}` is a speed: say for how long, as in `set {0} 100 for 1000`",
-                            setting.element
-                        );
-                        Err(DeviceError::new(ErrorName::Syntax, text))
-                    }
-                    false => Ok(()),
-                }
-            }),
-            Action::Do(setting) => self.value(setting, is_command, "the commands").map(drop),
-            Action::Play { element, sound, .. } => {
-                let (_, kind) = self.speaker(element)?;
-                let heard = Clip::read(&sound.bytes).and_then(|_| Encoder::new(kind));
-                heard
-                    .map(drop)
-                    .map_err(|error| Self::sound_fault(&sound.name, &error))
-            }
-            Action::Show { element, bytes } => {
-                self.bytes(element)?;
-                match bytes.bytes.is_empty() {
-                    true => {
-                        let text = format!("`{}` is empty", bytes.name);
-                        Err(DeviceError::new(ErrorName::Syntax, text))
-                    }
-                    false => Ok(()),
-                }
-            }
-            Action::Activate { element, .. } => {
-                self.named(element, is_switched, "what can be switched").map(drop)
-            }
-            Action::Ask(element) => self.named(element, is_asked, "what can be asked").map(drop),
-            Action::Wheels(_) | Action::Period(_) | Action::Clear => Ok(()),
-        }
-    }
-
-    /// The effector of type bytes that a statement names, and what sound it plays.
-    fn bytes(&self, name: &str) -> Result<(u8, Option<Sound>), DeviceError> {
-        let (place, element) = self.named(name, is_effector, "the effectors")?;
-        match element.payload {
-            Payload::Bytes(_) => Ok((place, element.sound)),
-            _ => {
-                let text = format!("`{name}` takes numbers: `set` sets it");
-                Err(DeviceError::new(ErrorName::Syntax, text))
-            }
-        }
-    }
-
-    /// The effector that plays sounds, and which.
-    fn speaker(&self, name: &str) -> Result<(u8, Sound), DeviceError> {
-        let (place, sound) = self.bytes(name)?;
-        let sound = sound.ok_or_else(|| {
-            let text = format!("`{name}` plays no sound by its model; `show` hands bytes to it");
-            DeviceError::new(ErrorName::Syntax, text)
-        })?;
-        Ok((place, sound))
-    }
-
-    fn sound_fault(name: &str, error: &SoundError) -> DeviceError {
-        DeviceError::new(ErrorName::Syntax, format!("`{name}` cannot be played: {error}"))
+    fn fail(&mut self, error: DeviceError) {
+        self.stand();
+        // The first one is what there is to be told.
+        self.failure.get_or_insert(error);
     }
 
     fn refused(&self, refused: Refused) -> DeviceError {
@@ -319,25 +290,35 @@ impl Mirror {
         }
         let taken = match action {
             Action::Set { settings, ms } => {
-                let mut places = Vec::new();
                 self.is_set = true;
-                for setting in settings {
-                    let (place, bytes) = self.value(setting, is_effector, "the effectors")?;
+                let values = settings
+                    .iter()
+                    .map(|setting| self.value(setting, is_effector, "the effectors"))
+                    .collect::<Result<Vec<_>, _>>()?;
+                let arrival = Arrival::of(&self.robot, &values);
+                for (place, bytes) in &values {
+                    self.moved.one(*place, self.now);
                     self.robot
-                        .write(place, &bytes)
+                        .write(*place, bytes)
                         .map_err(|error| self.refused(error))?;
-                    places.push(place);
                 }
                 self.robot.hurry();
                 return Ok(match ms {
-                    Some(ms) => Doing::Set(self.now.saturating_add(DeviceTime::from(*ms) * 1000), places),
-                    None => Doing::Done(self.now),
+                    Some(ms) => {
+                        let until = self.now.saturating_add(DeviceTime::from(*ms) * 1000);
+                        Doing::Set(until, values.into_iter().map(|(place, _)| place).collect())
+                    }
+                    None => Doing::Arrives(arrival),
                 });
             }
             Action::Do(setting) => {
                 let (place, bytes) = self.value(setting, is_command, "the commands")?;
                 let ticket = self.robot.command(place, &bytes);
-                return Ok(Doing::Command(ticket.map_err(|error| self.refused(error))?));
+                let ticket = ticket.map_err(|error| self.refused(error))?;
+                self.moved.all(&self.robot, self.now);
+                let element = self.robot.model().elements().get(usize::from(place));
+                let lasts = element.map_or(0, |element| DeviceTime::from(element.lasts) * 1000);
+                return Ok(Doing::Command(ticket, lasts));
             }
             Action::Play { element, sound, on } => {
                 let (place, kind) = self.speaker(element)?;
@@ -371,30 +352,15 @@ impl Mirror {
     }
 }
 
-fn is_effector(kind: Kind) -> bool {
-    kind == Kind::Effector
-}
-
-fn is_command(kind: Kind) -> bool {
-    matches!(kind, Kind::Command | Kind::MemoryCommand)
-}
-
-fn is_switched(kind: Kind) -> bool {
-    matches!(kind, Kind::Effector | Kind::Sensor | Kind::Monitor | Kind::Module)
-}
-
-fn is_asked(kind: Kind) -> bool {
-    matches!(kind, Kind::Sensor | Kind::Monitor | Kind::MemoryEvent)
-}
-
 impl Machine for Mirror {
     type Action = Action;
 
     const NAME: &str = "the robot";
     const VERBS: &[&str] = Action::VERBS;
     const PERIOD: DeviceTime = 100_000;
-    // Odometry in whole mm and degrees.
-    const TOLERANCE: f64 = 2.0;
+    // As its wheels; the robot's watchdog does not wait for longer.
+    const PATIENCE: DeviceTime = HOLD;
+    const TOLERANCE: f64 = TOLERANCE;
 
     fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Action, DeviceError>> {
         Action::read(verb, words)
@@ -410,7 +376,8 @@ impl Machine for Mirror {
 
     fn is_moving(&self) -> bool {
         let drives = self.rover.as_ref().is_some_and(Machine::is_moving);
-        drives || matches!(self.doing, Doing::Set(..) | Doing::Command(_))
+        let acts = !matches!(self.doing, Doing::Nothing | Doing::Done(_) | Doing::Drives);
+        drives || acts || self.stop.is_awaited()
     }
 
     fn is_at_rest(&self) -> bool {
@@ -429,27 +396,18 @@ impl Machine for Mirror {
         if let Doing::Set(_, places) = std::mem::replace(&mut self.doing, Doing::Nothing) {
             self.end_set(&places, action);
         }
-        self.doing = match (action, &mut self.rover) {
-            (Action::Wheels(action), Some(rover)) => {
-                rover.begin(action, now)?;
-                self.robot.hurry();
-                Doing::Drives
-            }
-            (_, rover) => {
-                if let Some(rover) = rover.as_mut().filter(|rover| rover.is_moving()) {
-                    rover.halt(now);
-                }
-                self.begin_other(action)?
-            }
-        };
-        Ok(())
+        if self.stop.is_under_way() {
+            self.doing = Doing::Waits(action.clone(), now);
+            return Ok(());
+        }
+        self.start(action)
     }
 
     fn done_at(&self) -> Option<DeviceTime> {
         match &self.doing {
             Doing::Drives => self.rover.as_ref().and_then(Machine::done_at),
-            Doing::Done(at) | Doing::Set(at, _) => Some(*at),
-            Doing::Nothing | Doing::Command(_) => None,
+            Doing::Done(at) | Doing::Set(at, _) | Doing::Runs(at) => Some(*at),
+            Doing::Nothing | Doing::Arrives(_) | Doing::Command(..) | Doing::Waits(..) => None,
         }
     }
 
@@ -460,7 +418,6 @@ impl Machine for Mirror {
     fn halt(&mut self, now: DeviceTime) {
         self.now = now;
         self.stand();
-        self.robot.hurry();
     }
 
     fn advance(&mut self, now: DeviceTime) {
@@ -477,28 +434,23 @@ impl Machine for Mirror {
                 self.failure = self.failure.take().or(Some(error));
             }
         }
-        // Later than its end by a moment, so that a `set` that follows at once sets other values without a rest between.
-        if let Doing::Set(until, places) = &self.doing
-            && now > *until
-        {
-            let (robot, places) = (self.robot.clone(), places.clone());
-            for place in places {
-                if let Some(element) = robot.model().elements().get(usize::from(place)) {
-                    self.write_safe(place, element);
-                }
-            }
-            self.doing = Doing::Nothing;
+        self.settle();
+        self.go_on();
+        if self.is_moving() {
+            self.moved.goes_on(now);
         }
     }
 
     fn next_wake(&self) -> Option<DeviceTime> {
         let rover = self.rover.as_ref().and_then(Machine::next_wake);
-        let set = match self.doing {
-            Doing::Set(until, _) => Some(until.saturating_add(1)),
+        let doing = match self.doing {
+            Doing::Set(until, _) | Doing::Runs(until) => Some(until.saturating_add(1)),
+            Doing::Arrives(_) | Doing::Waits(..) => Some(self.now.saturating_add(LOOK)),
             _ => None,
         };
+        let stop = self.stop.is_under_way().then(|| self.now.saturating_add(LOOK));
         let playing = self.playing.as_ref().and_then(Playing::next_wake);
-        [rover, set, playing].into_iter().flatten().min()
+        [rover, doing, stop, playing].into_iter().flatten().min()
     }
 
     fn known_at(&self) -> Option<DeviceTime> {
@@ -508,6 +460,10 @@ impl Machine for Mirror {
 
     fn position(&self) -> Map {
         self.rover.as_ref().map(Machine::position).unwrap_or_default()
+    }
+
+    fn measured(&self, at: DeviceTime) -> Option<Sample> {
+        self.moved.sample(&self.robot, self.position(), &self.wheels, at)
     }
 
     /// `{…of its wheels, linked, period, loss, round-trip?}`: ms, a share, µs.
@@ -523,24 +479,5 @@ impl Machine for Mirror {
             map.set("round-trip", micros);
         }
         map
-    }
-}
-
-impl Mirror {
-    /// What was set for a time rests, unless it is set anew.
-    fn end_set(&mut self, places: &[u8], next: &Action) {
-        let again: &[Setting] = match next {
-            Action::Set { settings, .. } => settings,
-            _ => &[],
-        };
-        let robot = self.robot.clone();
-        for place in places {
-            let Some(element) = robot.model().elements().get(usize::from(*place)) else {
-                continue;
-            };
-            if again.iter().all(|setting| setting.element != element.name) {
-                self.write_safe(*place, element);
-            }
-        }
     }
 }

@@ -1,5 +1,6 @@
 //! The wheels of a mirrored robot as a driver, so that what drives wheeled robots drives it: the robot itself plans nothing (S1).
 
+use mom_rsp::Refused;
 use mom_rsp_model::{Model, ModelElement};
 use mom_wheels::{Chassis, Driver, DriverError, Fault, Motors, Pose, Sensors, SetupError, WheelTime};
 
@@ -87,6 +88,16 @@ impl Wheels {
         })
     }
 
+    /// The wheels' places, if it says where it is at least each so many ms.
+    pub(crate) fn measured(&self, slowest: u16) -> Vec<u8> {
+        let elements = self.robot.model().elements();
+        let pose = self.pose.and_then(|(place, _)| elements.get(usize::from(place)));
+        match pose.is_some_and(|pose| pose.period <= slowest) {
+            true => vec![self.left, self.right],
+            false => Vec::new(),
+        }
+    }
+
     fn unreached(&self) -> DriverError {
         let text = format!(
             "{} is not reached: it has no session at present",
@@ -111,10 +122,11 @@ impl Driver for Wheels {
             let model = self.robot.model().elements().get(usize::from(element));
             let value = model.map(|model| to_wire(model, &[speed]));
             let written = match value {
-                Some(Ok(value)) => self
-                    .robot
-                    .write(element, &value)
-                    .map_err(|error| error.to_string()),
+                Some(Ok(value)) => match self.robot.write(element, &value) {
+                    // A wheel that is switched off stands.
+                    Err(Refused::Inactive) if motors == Motors::STOP => Ok(()),
+                    written => written.map_err(|error| error.to_string()),
+                },
                 Some(Err(error)) => Err(error.to_string()),
                 None => Err("the model has lost a wheel".to_owned()),
             };

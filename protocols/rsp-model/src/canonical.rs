@@ -56,6 +56,11 @@ fn element_text(element: &ModelElement, all: &[ModelElement]) -> String {
         Some(sound) => write!(text, " sound={sound}"),
         None => Ok(()),
     })
+    // The same of what does not go on.
+    .and_then(|()| match element.lasts {
+        0 => Ok(()),
+        ms => write!(text, " lasts={ms}"),
+    })
     .and_then(|()| writeln!(text, " module={}", name_at(element.module)));
     debug_assert!(done.is_ok(), "a String takes all that is written");
     for quantity in &element.quantities {

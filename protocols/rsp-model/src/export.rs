@@ -56,6 +56,9 @@ fn keys(model: &Model, element: &ModelElement, place: usize) -> Vec<(&'static st
     if element.period != 0 {
         keys.push(("period", element.period.to_string()));
     }
+    if element.lasts != 0 {
+        keys.push(("lasts", element.lasts.to_string()));
+    }
     if !element.doc.is_empty() {
         keys.push(("doc", quoted(&element.doc)));
     }

@@ -68,6 +68,8 @@ pub struct ModelElement {
     pub safe: Vec<u8>,
     /// Of a sensor or monitor: it is sent at most so often, in ms; 0 for each packet.
     pub period: u16,
+    /// Of a command or memory command: what it begins goes on for so long at most, in ms; 0 where nothing does.
+    pub lasts: u16,
     /// Of a monitor: the place of its effector.
     pub of: Option<u8>,
     /// The place of the module that it is a member of.

@@ -371,6 +371,7 @@ fn keys_of_other_kinds_are_refused() {
             "period = 1\nkind = \"effector\"\ntype = \"u8\"",
             "an effector has no `period`",
         ),
+        ("lasts = 1\nkind = \"event\"", "an event has no `lasts`"),
         (
             "safe = 1\nkind = \"memory-event\"",
             "a memory event has no `safe`",

@@ -83,6 +83,9 @@ fn element(index: usize) -> impl Strategy<Value = Vec<Line>> {
             if kind == "sensor" {
                 lines.push(("period", a.to_string()));
             }
+            if kind.ends_with("command") {
+                lines.push(("lasts", a.to_string()));
+            }
             let line = |(key, value): (&str, String)| Line {
                 key: key.to_owned(),
                 value,
@@ -191,6 +194,8 @@ fn the_hash_changes_with_all_that_counts() {
         ("speaker", "sound = \"pcm 48900\"\n", ""),
         ("lcd", "max = 65535", "max = 65534"),
         ("surroundings", "period = 100", "period = 101"),
+        ("gesture", "lasts = 2100", "lasts = 2101"),
+        ("gesture", "lasts = 2100\n", ""),
         ("posture", "of = \"joints\"", "of = \"lips\""),
         ("lips", "\"joints\", \"lips\"]", "\"joints\"]"),
         ("service-button", "kind = \"event\"", "kind = \"command\""),

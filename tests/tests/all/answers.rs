@@ -27,12 +27,22 @@ async fn the_hub_and_the_client_answer_by_the_cases() {
         }
         let stopping = alice.stop(ARM).only(["arm~2"]).within(Duration::from_millis(300));
         let says = async {
-            device.next_of(Family::Message, "stop").await;
+            let stop = device.next_of(Family::Message, "stop").await;
+            let number = stop
+                .extra
+                .get("stop")
+                .and_then(Value::as_int)
+                .expect("its number");
             if let Json::Object(says) = &case["says"] {
-                let content: Map = says
+                let mut content: Map = says
                     .iter()
                     .map(|(key, said)| (key.clone(), value_of(said)))
                     .collect();
+                match case["number"].as_str() {
+                    Some("none") => {}
+                    Some("never given out") => content.set("stop", number + 1),
+                    _ => content.set("stop", number),
+                }
                 device.send_parcel(&message("state", ARM, content)).await;
             }
         };
@@ -69,6 +79,7 @@ fn value_of(said: &Json) -> Value {
     match said {
         Json::Bool(said) => Value::Bool(*said),
         Json::String(said) => said.as_str().into(),
+        Json::Number(said) => said.as_i64().expect("whole").into(),
         other => panic!("{other} in the cases"),
     }
 }

@@ -410,6 +410,36 @@ impl Programs {
         }
     }
 
+    /// A hub where the one before was, which knows nothing of it.
+    fn begin_anew(&mut self) {
+        let config = project().join("config/fleet.toml");
+        let config = config.to_str().expect("a path in text");
+        let address = self.hub.strip_prefix("bin://").expect("an address");
+        let options = ["--config", config, "--listen", address];
+        self.broker = Some(Running::start("mom-broker", &options, &[]));
+    }
+
+    /// Kills the hub as a power cut does.
+    fn cut_power(&mut self) {
+        let broker = self.broker.take().expect("it runs");
+        broker.signal("KILL");
+        broker.wait();
+    }
+
+    /// A robot that is a peer itself.
+    fn rover(&self) -> Running {
+        let options = [
+            "--path",
+            "/fleet/12",
+            "--manager",
+            "robot-token",
+            "--user",
+            "gateway",
+        ];
+        let options = [&options[..], &["--hub", &self.hub]].concat();
+        Running::start("mom-rover", &options, &[("MOM_PASSWORD", "gateway")])
+    }
+
     /// Alice drives, for as long as this lives.
     fn driving(&self, unit: &str) -> Running {
         let user = [
@@ -444,34 +474,14 @@ fn a_deleted_channel_of_one_robot_leaves_the_others_and_comes_back() {
 #[test]
 fn after_a_restart_of_the_hub_all_robots_go_on_and_none_has_moved_meanwhile() {
     let mut fleet = Programs::start("2");
-    let address = fleet.hub.strip_prefix("bin://").expect("an address").to_owned();
-    let options = [
-        "--path",
-        "/fleet/12",
-        "--manager",
-        "robot-token",
-        "--user",
-        "gateway",
-    ];
-    let options = [&options[..], &["--hub", &fleet.hub]].concat();
-    let _rover = Running::start("mom-rover", &options, &[("MOM_PASSWORD", "gateway")]);
+    let _rover = fleet.rover();
     list_until(&fleet.hub, |row| row["linked"] == true);
     let driving = fleet.driving("1");
     page_until(&fleet.pages[0], |left| left == 100);
-    let broker = fleet.broker.take().expect("it runs");
-    broker.signal("KILL");
-    broker.wait();
+    fleet.cut_power();
     drop(driving);
     page_until(&fleet.pages[0], |left| left == 0);
-    // Where it was before.
-    let config = project().join("config/fleet.toml");
-    let options = [
-        "--config",
-        config.to_str().expect("a path in text"),
-        "--listen",
-        &address,
-    ];
-    fleet.broker = Some(Running::start("mom-broker", &options, &[]));
+    fleet.begin_anew();
     let until = Instant::now() + PATIENCE;
     for (user, unit) in [("alice", "1"), ("bob", "2"), ("carol", "12")] {
         while !typed(&fleet.hub, user, &["fleet", "send", unit, "leds 3"])
@@ -485,4 +495,31 @@ fn after_a_restart_of_the_hub_all_robots_go_on_and_none_has_moved_meanwhile() {
         row["linked"] == true && number(row, "leds") == 3
     });
     assert_eq!(page(&fleet.pages[0]).0, 0);
+}
+
+/// A hub that forgets all, and with it the channels that the robots had made: their word that they are stopped is what there is.
+#[test]
+fn what_a_device_has_heard_of_stops_outlives_its_channel() {
+    let mut fleet = Programs::start("1");
+    let _rover = fleet.rover();
+    list_until(&fleet.hub, |row| row["linked"] == true);
+    good(&fleet.hub, "carol", &["stop", "/fleet/1/robot"]);
+    good(&fleet.hub, "carol", &["stop", "/fleet/12/robot"]);
+    fleet.cut_power();
+    fleet.begin_anew();
+    for (unit, path) in [("1", "/fleet/1/robot"), ("12", "/fleet/12/robot")] {
+        let until = Instant::now() + PATIENCE;
+        let refused = loop {
+            let said = typed(&fleet.hub, "alice", &["fleet", "send", unit, "leds 3"]);
+            assert!(!said.status.success(), "robot {unit} obeys without an unstop");
+            let said = text(&said.stdout) + &text(&said.stderr);
+            if said.contains("stopped") {
+                break said;
+            }
+            assert!(Instant::now() < until, "robot {unit} never comes back: {said}");
+        };
+        assert!(refused.contains("is stopped"), "{refused}");
+        good(&fleet.hub, "carol", &["unstop", path]);
+        good(&fleet.hub, "alice", &["fleet", "send", unit, "leds 3"]);
+    }
 }

@@ -22,6 +22,7 @@ mod faults;
 mod first_hour;
 mod fleet;
 mod fleet_web;
+mod guards;
 mod heartbeat;
 
 mod lab_page;
@@ -51,6 +52,7 @@ mod rover;
 mod runs;
 mod servo;
 mod simulacrum;
+mod simulacrum_stops;
 mod states;
 mod stats;
 mod stops;

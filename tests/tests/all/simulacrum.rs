@@ -1,5 +1,6 @@
 //! A thin robot that is mirrored over datagrams, as a device of the hub (S1 to S25): robot, middle and hub are programs of their own.
 
+use std::net::SocketAddr;
 use std::process::{Command, Output};
 use std::time::Duration;
 
@@ -11,18 +12,20 @@ use tokio::task::spawn_blocking;
 use tokio::time::timeout;
 
 /// Robot, network, middle and hub.
-struct Stage {
-    hub: String,
-    network: Datagrams,
-    cubo: Running,
-    middle: Running,
+pub(crate) struct Stage {
+    pub(crate) hub: String,
+    pub(crate) network: Datagrams,
+    pub(crate) cubo: Running,
+    /// Where the robot shows its body.
+    pub(crate) page: SocketAddr,
+    pub(crate) middle: Running,
     broker: Running,
     _folder: tempfile::TempDir,
 }
 
 impl Stage {
     /// All of them, at work; with a key unless the middle is in the paper's mode.
-    async fn new(options: &[&str]) -> Stage {
+    pub(crate) async fn new(options: &[&str]) -> Stage {
         let folder = tempfile::tempdir().expect("a folder");
         let key = folder.path().join("cubo.key");
         let key = key.to_str().expect("a path").to_owned();
@@ -37,7 +40,14 @@ impl Stage {
             .args(["-c", "exec \"$0\" \"$@\" 2>&1"])
             .arg(program("mom-cubo"));
         command
-            .args(["--listen", "127.0.0.1:0", "--watchdog", "2000"])
+            .args([
+                "--listen",
+                "127.0.0.1:0",
+                "--watchdog",
+                "2000",
+                "--web",
+                "127.0.0.1:0",
+            ])
             .args(keyed);
         let cubo = Running::of("mom-cubo", &mut command);
         let address = cubo
@@ -46,6 +56,9 @@ impl Stage {
             .next()
             .expect("an address")
             .to_owned();
+        let page = cubo.line_with("shows itself on");
+        let page = page.rsplit('/').nth(1).expect("an address");
+        let page = page.parse().expect("an address");
         let network = Datagrams::before(address.parse().expect("an address"), 1);
         let network = network.expect("a network");
         let (broker, hub) = Running::broker(&project().join("config/fleet.toml"));
@@ -74,13 +87,14 @@ impl Stage {
             hub,
             network,
             cubo,
+            page,
             middle,
             broker,
             _folder: folder,
         }
     }
 
-    async fn arrive(&self, name: &str) -> Client {
+    pub(crate) async fn arrive(&self, name: &str) -> Client {
         let client = Client::builder(&self.hub)
             .user(name)
             .password(name)
@@ -91,7 +105,7 @@ impl Stage {
 }
 
 /// The events of the robot's channel once it has a session.
-async fn linked(client: &Client) -> (DeviceChannel, Events) {
+pub(crate) async fn linked(client: &Client) -> (DeviceChannel, Events) {
     let there = async {
         loop {
             if let Ok(channel) = DeviceChannel::join(client, "/fleet/1/robot").await {
@@ -125,11 +139,11 @@ async fn message(events: &mut Events, name: &str, wanted: impl Fn(&Value) -> boo
         .unwrap_or_else(|_| panic!("{name} is said"))
 }
 
-async fn told(events: &mut Events, wanted: impl Fn(&Value) -> bool) -> Value {
+pub(crate) async fn told(events: &mut Events, wanted: impl Fn(&Value) -> bool) -> Value {
     message(events, "state", wanted).await
 }
 
-fn is(content: &Value, key: &str) -> bool {
+pub(crate) fn is(content: &Value, key: &str) -> bool {
     content.get(key).and_then(Value::as_bool) == Some(true)
 }
 
@@ -145,7 +159,7 @@ fn first(content: &Value, key: &str) -> Option<f64> {
     }
 }
 
-async fn grab(client: &Client) -> mom_client::TokenGuard {
+pub(crate) async fn grab(client: &Client) -> mom_client::TokenGuard {
     let token = client.token("/fleet/1/token").await.expect("they may look");
     token.grab().await.expect("it is had")
 }
@@ -422,6 +436,7 @@ async fn a_lost_hub_has_it_rest_and_the_middle_still_ends() {
         hub,
         network: _network,
         cubo,
+        page: _,
         middle,
         broker,
         _folder,

@@ -131,8 +131,10 @@ async fn what_obeys_and_does_not_stand_is_named() {
         ),
     ] {
         let answers = async {
-            rolling.next_of(Family::Message, "stop").await;
-            rolling.send_parcel(&message("state", ARM, state(more))).await;
+            let stop = rolling.next_of(Family::Message, "stop").await;
+            let number = stop.extra.get("stop").cloned().expect("its number");
+            let state = state(more).with("stop", number);
+            rolling.send_parcel(&message("state", ARM, state)).await;
         };
         let (output, ()) = tokio::join!(mom(&lab, "alice", arguments), answers);
         let (found, words) = told(&output);

@@ -70,6 +70,8 @@ class Core:
         self.outbox = Outbox(self.dropped)
         self.holds = Holds(self)
         self.places: Dict[str, Place] = {}
+        self._latches: Dict[str, Latch] = {}
+        """What devices have heard of stops, also of channels that are gone: a hub that began anew without one knows no stop there."""
         self.numbers: Dict[int, str] = {}
         self.welcome: Dict[str, Any] = {}
         """The content of the hub's reply to the login."""
@@ -205,6 +207,9 @@ class Core:
             event, place = of_parcel(parcel), self.places.get(parcel.context or "")
             if place is not None:
                 place.latch.observe(event)
+                if parcel.is_("message", "halt") and parcel.sender == "hub" and "guard" in parcel.map():
+                    # Another token guards the channel from now on, or none.
+                    place.gate.joined(parcel.map())
             self.subscribers.deliver(_paths(parcel), event)
 
     def _receive_status(self, status: Dict[str, Any]) -> None:
@@ -286,6 +291,7 @@ class Core:
             await self._join(place, terms)
             return place
         place = self.places[path] = Place(path)
+        place.latch = self._latches.setdefault(path, place.latch)
         try:
             await self._join(place, terms)
         except BaseException:

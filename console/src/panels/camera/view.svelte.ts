@@ -68,6 +68,7 @@ export class CameraView {
   turns = $state<string | undefined>(undefined);
   joined = $state(false);
   readonly #times: number[] = [];
+  #hidden = false;
 
   constructor(
     readonly hub: Hub,
@@ -96,6 +97,12 @@ export class CameraView {
     );
   }
 
+  /** It is not shown any more, nor is a picture that is still on its way. */
+  hide(): void {
+    this.#hidden = true;
+    pictures.hides(this.hub, this.path);
+  }
+
   /** Pictures each second. */
   rate(now: number): number {
     const recent = this.#times.filter((time) => time > now - SPAN);
@@ -116,7 +123,7 @@ export class CameraView {
     if (this.#times.length > 200) this.#times.shift();
     if (beside.blocks.length) cursorOf(this.hub).sees(beside.blocks.map(blockOf).filter((block) => block !== undefined));
     painted(() => {
-      if (this.frame !== frame) return;
+      if (this.frame !== frame || this.#hidden) return;
       const { born, error } = frame;
       pictures.shows(this.hub, this.path, { born, error, arrived, posed: beside.pose !== undefined, poseTime: beside.poseTime });
       this.glass = born === undefined ? null : { ms: Math.max(0, Date.now() - born), error };

@@ -5,7 +5,7 @@ import { fields, number, text } from "../../hub/fields.js";
 import type { Hub } from "../../hub/hub.svelte.js";
 import { fleet as t } from "../../texts/fleet.js";
 import { texts } from "../../texts/index.js";
-import type { Failure, HubEvent, Message } from "../../worker/protocol.js";
+import type { Failure, HubEvent, Message, StandingStop } from "../../worker/protocol.js";
 import { type Line, Log } from "./log.svelte.js";
 import type { FleetState } from "./state.svelte.js";
 import { wordsOf } from "./units.js";
@@ -79,11 +79,14 @@ export class FleetDriver {
   /** Commands under way, by number. */
   readonly #open = new Map<number, Outgoing>();
   readonly #early = new Map<number, Message>();
+  /** The stops that this page knows of, by channel. */
+  readonly #standing: ReadonlyMap<string, StandingStop>;
 
   constructor(
     readonly hub: Hub,
     readonly fleet: FleetState,
   ) {
+    this.#standing = $derived(new Map(hub.stops.map((stop) => [stop.path, stop])));
     this.#base = fleet.path.slice(0, fleet.path.lastIndexOf("/"));
   }
 
@@ -192,16 +195,28 @@ export class FleetDriver {
     return this.#all("stop", units, (unit) => of.get(unit)!, units.length);
   }
 
-  /** Lets robots go: up to the stops that this page showed when it was asked for, and no more of them once a stop is ordered. */
-  free(units: readonly number[]): Promise<boolean> {
-    const { hub } = this;
-    const shown = new Map(hub.stops.map(({ path, number }) => [path, number]));
+  /** Whether a robot is stopped, by its own word or as far as this page knows of stops. */
+  isStopped(unit: number): boolean {
+    return this.fleet.robots.get(unit)?.stopped === true || this.#standing.has(this.channel(unit));
+  }
+
+  /** The stops that hold for these robots. Of one that says that it is stopped, and of whose stop the page has not heard, the hub is asked. */
+  async stopsOf(units: readonly number[]): Promise<StandingStop[]> {
+    const unheard = units.filter((unit) => this.isStopped(unit)).map((unit) => this.channel(unit)).filter((path) => !this.#standing.has(path));
+    const found = unheard.length ? await this.hub.call("stopsOf", unheard) : [];
+    const all = new Map([...found.map((stop) => [stop.path, stop] as const), ...this.#standing]);
+    return units.flatMap((unit) => all.get(this.channel(unit)) ?? []);
+  }
+
+  /** Lets robots go: up to these stops, which were shown, and no more of them once a stop is ordered. */
+  free(stops: readonly StandingStop[]): Promise<boolean> {
+    const shown = new Map(stops.map(({ path, number }) => [path, number]));
+    const units = stops.map(({ path }) => Number(path.slice(this.#base.length + 1).split("/", 1)[0]));
     const going = this.#underway(units);
     return this.#all("unstop", units, async (unit) => {
       const path = this.channel(unit);
-      const number = shown.get(path);
       going(unit);
-      await hub.call("stopOne", "unstop", path, { stops: number === undefined ? {} : { [path]: number } });
+      await this.hub.call("stopOne", "unstop", path, { stops: { [path]: shown.get(path)! } });
     });
   }
 

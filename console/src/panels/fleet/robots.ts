@@ -1,6 +1,7 @@
 // A robot as the channel of all robots tells it, and what may be said of it in a word.
 import { fields, flag, number, text } from "../../hub/fields.js";
 import type { Message } from "../../worker/protocol.js";
+import { type Rest, restOf, unreachedSince } from "../../worker/rest.js";
 
 /** What a robot does; the first that holds, in this order. */
 export const STATES = ["lost", "stopped", "expired", "driving", "standing"] as const;
@@ -12,6 +13,11 @@ export const LOW = 20;
 export interface Robot {
   unit: number;
   state: State;
+  stopped: boolean;
+  /** What the channel of all says of its rest; its own channel may say more. */
+  rest: Rest;
+  /** Since when it is not reached, ms since 1970 by this machine's clock. */
+  since: number | undefined;
   /** mm and degrees, counterclockwise from x. */
   x: number | undefined;
   y: number | undefined;
@@ -33,15 +39,19 @@ export interface Robot {
 }
 
 /** What a message says of a robot; undefined if it is about none. */
-export function robotOf({ name, content, born, error, arrived }: Message): Robot | undefined {
+export function robotOf({ name, content, said: at, born, error, arrived }: Message): Robot | undefined {
   const named = /^robot-(\d{1,5})$/.exec(name);
   if (!named) return undefined;
   const said = fields(content);
   const doing = fields(said["executing"]);
-  const state = said["linked"] === false ? "lost" : flag(said, "stopped") ? "stopped" : flag(said, "expired") ? "expired" : flag(said, "moving") ? "driving" : "standing";
+  const rest = restOf(said);
+  const state = said["linked"] === false || rest === "unreached" ? "lost" : flag(said, "stopped") ? "stopped" : flag(said, "expired") ? "expired" : flag(said, "moving") ? "driving" : "standing";
   return {
     unit: Number(named[1]),
     state,
+    stopped: flag(said, "stopped"),
+    rest,
+    since: unreachedSince(said, at === undefined || born === undefined ? 0 : at - born),
     x: number(said, "x"),
     y: number(said, "y"),
     heading: number(said, "heading"),
@@ -56,6 +66,9 @@ export function robotOf({ name, content, born, error, arrived }: Message): Robot
     error,
   };
 }
+
+/** Whether it is stopped, and moves all the same by what is known. */
+export const movesStopped = ({ state, rest }: Pick<Robot, "state" | "rest">): boolean => state === "stopped" && rest === "moving";
 
 export const isLow = ({ battery }: Pick<Robot, "battery">): boolean => battery !== undefined && battery < LOW;
 

@@ -168,9 +168,10 @@ function element(row: Row, mistakes: Mistakes<Field>): Payload | undefined {
     if (!row[field].trim() || hasField(kind, type, field)) continue;
     say(mistakes, field, misplaced(kind, type, field));
   }
-  if (row.period.trim() && hasField(kind, type, "period")) {
-    const period = whole(row.period, 0, 60_000, 0);
-    if ("mistake" in period) say(mistakes, "period", period.mistake);
+  for (const field of ["period", "lasts"] as const) {
+    if (!row[field].trim() || !hasField(kind, type, field)) continue;
+    const ms = whole(row[field], 0, 60_000, 0);
+    if ("mistake" in ms) say(mistakes, field, ms.mistake);
   }
   if (kind === "module") return { kind, data: 0, isBytes: false, isBlob: false };
   // Its effector's, which is looked up when all have been read.

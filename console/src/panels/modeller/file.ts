@@ -26,7 +26,7 @@ function typedRange(value: unknown): string {
 }
 
 const ROOT = new Set(["name", "id", "doc", "period", "largest-packet", "watchdog", "element"]);
-const ELEMENT = new Set(["name", "kind", "type", "count", "max", "sound", "parts", "unit", "scale", "range", "safe", "rate", "motion", "interpolate", "period", "of", "members", "doc"]);
+const ELEMENT = new Set(["name", "kind", "type", "count", "max", "sound", "parts", "unit", "scale", "range", "safe", "rate", "motion", "interpolate", "period", "lasts", "of", "members", "doc"]);
 
 function rowOf(table: Table, key: number, notes: string[]): Row {
   const name = typed(table["name"]);
@@ -50,6 +50,7 @@ function rowOf(table: Table, key: number, notes: string[]): Row {
     rate: typed(table["rate"]),
     motion: motion === "incremental" ? motion : interpolates ? "interpolated" : motion === "absolute" ? "" : motion,
     period: typed(table["period"]),
+    lasts: typed(table["lasts"]),
     of: typed(table["of"]),
     members: typed(table["members"]),
     doc: typed(table["doc"]).trim(),
@@ -123,6 +124,7 @@ function keysOf(row: Row): [key: string, value: string][] {
   if (has("motion") && row.motion === "incremental") add("motion", quoted("incremental"));
   if (has("motion") && row.motion === "interpolated") add("interpolate", "true");
   if (has("period")) add("period", String(wholeOf(row.period)));
+  if (has("lasts")) add("lasts", String(wholeOf(row.lasts)));
   if (row.doc.trim()) add("doc", quoted(row.doc.trim()));
   return keys;
 }

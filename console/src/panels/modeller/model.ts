@@ -6,7 +6,7 @@ export type Type = (typeof TYPES)[number];
 export const MOTIONS = ["absolute", "interpolated", "incremental"] as const;
 
 /** The fields of an element that are texts. Lists have commas between their values, a range has `..` between its ends. */
-export const FIELDS = ["name", "kind", "type", "count", "max", "sound", "unit", "scale", "range", "safe", "rate", "motion", "period", "of", "members", "doc"] as const;
+export const FIELDS = ["name", "kind", "type", "count", "max", "sound", "unit", "scale", "range", "safe", "rate", "motion", "period", "lasts", "of", "members", "doc"] as const;
 export type Field = (typeof FIELDS)[number];
 export type Row = { readonly [field in Field]: string } & { readonly key: number };
 
@@ -60,6 +60,8 @@ export function hasField(kind: string, type: string, field: Field): boolean {
       return kind === "effector" && numbers;
     case "period":
       return kind === "sensor" || kind === "monitor";
+    case "lasts":
+      return kind === "command" || kind === "memory-command";
     case "of":
       return kind === "monitor";
     case "members":
@@ -76,7 +78,7 @@ export function hasField(kind: string, type: string, field: Field): boolean {
 }
 
 export function blank(key: number, values: Partial<Row> = {}): Row {
-  return { name: "", kind: "sensor", type: "", count: "", max: "", sound: "", unit: "", scale: "", range: "", safe: "", rate: "", motion: "", period: "", of: "", members: "", doc: "", ...values, key };
+  return { name: "", kind: "sensor", type: "", count: "", max: "", sound: "", unit: "", scale: "", range: "", safe: "", rate: "", motion: "", period: "", lasts: "", of: "", members: "", doc: "", ...values, key };
 }
 
 export function emptyDraft(): Draft {

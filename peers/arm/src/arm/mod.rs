@@ -17,6 +17,7 @@ mod command;
 mod keep_out;
 #[cfg(test)]
 mod promises;
+mod silence;
 #[cfg(test)]
 mod tests;
 
@@ -29,7 +30,7 @@ pub const STATE_PERIOD: ArmTime = 50_000;
 /// The most commands that wait behind the one being carried out.
 pub const MAX_WAITING: usize = 64;
 /// µs by which the driver may miss a wake before the controller treats its link as broken.
-pub const LINK_TIMEOUT: ArmTime = 3_000_000;
+pub const LINK_TIMEOUT: ArmTime = 1_000_000;
 
 /// The arm.
 ///
@@ -39,7 +40,7 @@ pub const LINK_TIMEOUT: ArmTime = 3_000_000;
 /// time pass; `state` and `next_wake` only read. Everything that happens is reported in `events`, in order, and
 /// every accepted command ends in exactly one `finished` or `error`.
 ///
-/// If a driver falls silent while a command is carried out, the arm goes on for [`LINK_TIMEOUT`]
+/// If a driver falls silent while a command is carried out, the arm goes on with its present statement for [`LINK_TIMEOUT`]
 /// after the missed wake and stops there with a `link` error (M53).
 #[derive(Debug)]
 pub struct Arm {
@@ -199,17 +200,7 @@ impl Arm {
     /// Lets time pass until `now`.
     pub fn advance(&mut self, now: ArmTime, events: &mut Vec<ArmEvent>) {
         let now = now.max(self.now);
-        if let Some(due) = self.next_wake()
-            && now.saturating_sub(due) > self.patience
-        {
-            self.run_until(due.saturating_add(self.patience), events);
-            if self.active.is_some() {
-                let silence = now.saturating_sub(due) / 1000;
-                let text =
-                    format!("the program that drives the arm was silent for {silence} ms; the arm stopped");
-                self.fail(ArmError::new(ErrorName::Link, text), events);
-            }
-        }
+        self.make_up_for_silence(now, events);
         self.run_until(now, events);
     }
 

@@ -279,6 +279,33 @@ fn the_next_owner_waits_for_the_safe_state() {
     );
 }
 
+/// A configuration guards the channel from now on: what was sent before is nobody's.
+#[test]
+fn what_was_sent_without_a_fence_ends_where_somebody_owns_the_token() {
+    let begun = "alice command 1 -: move 0 0 270 0 0; home
+         > status alice/1 waiting 0/2
+         > status alice/1 executing 1/2
+         after 50";
+    for line in ["grabbed 6", "gate bob 6\njoined carol"] {
+        let mut stage = Stage::new();
+        for line in begun
+            .lines()
+            .chain(line.lines())
+            .map(str::trim)
+            .filter(|line| !line.starts_with('>'))
+        {
+            stage.act(line);
+        }
+        // Fences of two tokens say nothing of each other.
+        stage.fence = None;
+        let heard = stage.heard();
+        assert!(
+            heard.contains(&"status alice/1 error 1/2 halted 5101".to_owned()),
+            "{line}: {heard:?}"
+        );
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
     #[test]

@@ -82,7 +82,9 @@ pub struct RobotServer {
     told: Option<Position>,
     /// Whether the owner is about to change by agreement.
     handing_over: bool,
-    /// The newest fence that was heard of.
+    /// The token that guards its channel, once that was looked at.
+    guard: Option<Option<Path>>,
+    /// The newest fence of it that was heard of.
     fence: u64,
     /// The newest fence under which the arm has said that it stands.
     stood: u64,
@@ -129,6 +131,7 @@ impl RobotServer {
             states: StateGate::new(Time::default()),
             told: None,
             handing_over: false,
+            guard: None,
             fence: 0,
             stood: 0,
             max_age: None,
@@ -172,6 +175,7 @@ impl RobotServer {
         out: &mut Vec<Parcel>,
     ) {
         self.advance(now, out);
+        self.watch_guard(gate, now, out);
         if let Some(reaction) = self.latch.observe(event) {
             self.react(event, reaction, now, out);
         }
@@ -375,6 +379,20 @@ impl RobotServer {
         Ok(Some(expires.map_or(own, |expires| expires.min(own))))
     }
 
+    /// Ends all commands where another token guards the channel than before, or one where none did: fences of two tokens say nothing of
+    /// each other, and who was allowed before may not be now.
+    fn watch_guard(&mut self, gate: &FenceGate, now: ArmTime, out: &mut Vec<Parcel>) {
+        let token = gate.guard().map(|guard| guard.token);
+        if self.guard.as_ref() == Some(&token) {
+            return;
+        }
+        let is_first = self.guard.replace(token).is_none();
+        if !is_first {
+            (self.fence, self.stood, self.handing_over) = (0, 0, false);
+            self.halt("another token guards its channel from now on", now, out);
+        }
+    }
+
     /// The token has an owner of this fence, perhaps a new one.
     fn take_owner(&mut self, fence: u64, now: ArmTime, out: &mut Vec<Parcel>) {
         if fence <= self.fence {
@@ -389,8 +407,9 @@ impl RobotServer {
     /// Ends what older owners have begun: its sender no longer owns the token. Where both sides agree, the hub halts the arm
     /// unless the token says otherwise, so the present statement comes to its end.
     fn end_older(&mut self, fence: u64, now: ArmTime, out: &mut Vec<Parcel>) {
-        let mut fences = self.orders.values().filter_map(|order| order.fence);
-        if !fences.any(|old| old < fence) {
+        // What was sent without a fence, before the channel was guarded, is older than any; the hub's own is the safe state of a change.
+        let is_older = |order: &Order| order.fence.unwrap_or(0) < fence && &*order.peer != HUB;
+        if !self.orders.values().any(is_older) {
             return;
         }
         let reason = "the token changed hands";

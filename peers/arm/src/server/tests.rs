@@ -18,7 +18,7 @@ pub(super) struct Stage {
     /// The ids of the states that were told, in order.
     states: Vec<u64>,
     /// The newest fence under which it has said that it stands.
-    fence: Option<i64>,
+    pub(super) fence: Option<i64>,
 }
 
 impl Stage {

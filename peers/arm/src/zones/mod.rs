@@ -52,6 +52,9 @@ struct Zone {
     fence: u64,
     /// Whether the ownership of that fence has ended.
     over: bool,
+    /// Whether its token was deleted. It stays closed, as nobody can own it: that a token is gone does not say that its owner has left the
+    /// box.
+    gone: bool,
     /// How many more times the hub has to tell of it before a yes to a grant, of which nothing came, holds no more.
     promised: u8,
 }
@@ -71,6 +74,7 @@ struct ClosedZone {
     name: Path,
     bounds: Option<ZoneBox>,
     owner: Option<String>,
+    gone: bool,
 }
 
 impl Zones {
@@ -85,17 +89,26 @@ impl Zones {
 
     /// There is a zone with this token. Until more is heard of it, it may be anywhere, and nobody owns it.
     pub fn add(&mut self, token: Path) {
-        self.zones.entry(token).or_default();
+        let zone = self.zones.entry(token).or_default();
+        if zone.gone {
+            *zone = Zone::default();
+        }
     }
 
-    /// There is no such zone any more.
+    /// There is no such token any more: its zone is closed to everybody, until there is one again or the arm's program begins anew.
     pub fn remove(&mut self, token: &Path) {
-        self.zones.remove(token);
+        if let Some(zone) = self.zones.get_mut(token) {
+            *zone = Zone {
+                bounds: zone.bounds,
+                gone: true,
+                ..Zone::default()
+            };
+        }
     }
 
     /// What the hub tells of the token: `{zone {from, to}, owner?, fence}`.
     pub fn told(&mut self, token: &Path, info: &Map) {
-        let Some(zone) = self.zones.get_mut(token) else {
+        let Some(zone) = self.zones.get_mut(token).filter(|zone| !zone.gone) else {
             return;
         };
         zone.bounds = info.get("zone").and_then(ZoneBox::read);
@@ -111,7 +124,7 @@ impl Zones {
 
     /// A peer has got it.
     pub fn grabbed(&mut self, token: &Path, owner: &str, fence: u64) {
-        if let Some(zone) = self.zones.get_mut(token) {
+        if let Some(zone) = self.zones.get_mut(token).filter(|zone| !zone.gone) {
             zone.grab(owner, fence);
         }
     }
@@ -127,14 +140,14 @@ impl Zones {
 
     /// Nothing is known any more of a zone but that it is there.
     pub fn forget_one(&mut self, token: &Path) {
-        if let Some(zone) = self.zones.get_mut(token) {
+        if let Some(zone) = self.zones.get_mut(token).filter(|zone| !zone.gone) {
             *zone = Zone::default();
         }
     }
 
     /// Nothing is known any more but that they are there: the connection is lost, and after it fences may be others.
     pub fn forget(&mut self) {
-        for zone in self.zones.values_mut() {
+        for zone in self.zones.values_mut().filter(|zone| !zone.gone) {
             *zone = Zone::default();
         }
     }
@@ -156,6 +169,7 @@ impl Zones {
                     name: name.clone(),
                     bounds,
                     owner: zone.owner.clone(),
+                    gone: zone.gone,
                 }),
             }
         }
@@ -245,10 +259,13 @@ impl Closed {
     pub fn check(&self, pose: &Pose) -> Result<(), ArmError> {
         let unknown = self.zones.iter().find(|zone| zone.bounds.is_none());
         let parts = parts(&self.mount, pose);
+        // Where no joints can hold the pose nobody knows where the arm's parts are: they may be in each.
         let entered = |zone: &&ClosedZone| {
-            let mut parts = parts.iter().flatten();
-            zone.bounds
-                .is_some_and(|bounds| parts.any(|part| part.enters(&bounds, &self.own)))
+            let enters = |bounds| {
+                let mut parts = parts.iter().flatten();
+                parts.any(|part| part.enters(bounds, &self.own))
+            };
+            parts.is_none() || zone.bounds.as_ref().is_some_and(enters)
         };
         match unknown.or_else(|| self.zones.iter().find(entered)) {
             None => Ok(()),
@@ -269,6 +286,9 @@ impl ClosedZone {
         let Pose { x, y, z, .. } = at;
         let name = &self.name;
         let text = match (&self.bounds, commander, &self.owner) {
+            _ if self.gone => format!(
+                "at {x:.0} {y:.0} {z:.0} the arm is in the zone {name}, whose token was deleted: it stays closed until there is such a token again, or the arm's program begins anew"
+            ),
             (None, ..) => format!("the arm does not know yet where the zone {name} is"),
             (Some(_), None, _) => {
                 format!(
@@ -284,8 +304,8 @@ impl ClosedZone {
         };
         let error = ArmError::new(ErrorName::ZoneNotOwned, text);
         match self.bounds {
-            None => error.with_retry(),
-            Some(_) => error,
+            None if !self.gone => error.with_retry(),
+            _ => error,
         }
     }
 }

@@ -43,8 +43,7 @@ impl ZoneBox {
 
     /// Whether a part of the arm is in it, or near, as for legs: where it may stay it may also leave.
     pub(super) fn holds(&self, mount: &Mount, pose: &Pose) -> bool {
-        let parts = parts(mount, pose);
-        parts.iter().flatten().any(|part| part.enters(self, &[]))
+        parts(mount, pose).is_none_or(|parts| parts.iter().any(|part| part.enters(self, &[])))
     }
 
     /// What both have in common.
@@ -88,7 +87,7 @@ pub(super) struct Part {
     radius: f64,
 }
 
-/// Hand and forearm; none where no joints can hold the pose, to which the arm does not get.
+/// Hand and forearm; none where no joints can hold the pose, so that nobody knows where they are.
 pub(super) fn parts(mount: &Mount, pose: &Pose) -> Option<[Part; 2]> {
     let links = reach::links(&reach::joints(pose).ok()?);
     let [tip, wrist, forearm] = [links.tip, links.wrist, links.forearm].map(|point| mount.place(point));

@@ -92,8 +92,48 @@ fn a_zone_is_closed_until_all_is_known_of_it_and_after_it_is_lost() {
     assert_eq!(entered(&zones), Ok(()));
     zones.forget();
     assert!(entered(&zones).is_err());
+}
+
+#[test]
+fn the_zone_of_a_deleted_token_stays_closed_and_the_rest_open() {
+    let mut zones = halves();
+    let zone = path("/zone/right");
+    let check = |zones: &Zones, x: f64| zones.closed_to(Some("alice")).check(&at(x, 100.0));
     zones.remove(&zone);
-    assert_eq!(entered(&zones), Ok(()));
+    // What was under way, and a link that is lost, open nothing.
+    zones.grabbed(&zone, "alice", 9);
+    zones.told(
+        &zone,
+        &info([100.0, -300.0, 0.0], [300.0, 300.0, 450.0], Some("alice"), 9),
+    );
+    zones.forget_one(&zone);
+    let refusal = check(&zones, 200.0).expect_err("it is closed");
+    assert!(refusal.text().contains("whose token was deleted"), "{refusal}");
+    assert_eq!(check(&zones, -200.0), Ok(()));
+    zones.add(zone.clone());
+    assert!(check(&zones, 200.0).is_err(), "nobody owns the new one yet");
+    zones.told(
+        &zone,
+        &info([100.0, -300.0, 0.0], [300.0, 300.0, 450.0], Some("alice"), 2),
+    );
+    assert_eq!(check(&zones, 200.0), Ok(()));
+}
+
+#[test]
+fn a_pose_that_no_joints_can_hold_is_in_each_closed_zone() {
+    let zones = halves();
+    let outside = Pose::new(0.0, 2000.0, 100.0, 0.0, 0.0);
+    let checked = zones.closed_to(Some("bob")).check(&outside);
+    assert!(checked.is_err_and(|error| error.name() == ErrorName::ZoneNotOwned));
+    assert_eq!(
+        zones.closed_to(Some("alice")).check(&outside),
+        Ok(()),
+        "all are hers"
+    );
+    assert!(
+        zones.check_grant(&path("/zone/right"), &outside).is_err(),
+        "it may stand there"
+    );
 }
 
 #[test]
@@ -195,7 +235,7 @@ proptest! {
         let corner = [from[0] * 300.0, from[1] * 300.0, from[2] * 225.0 + 225.0];
         let bounds = ZoneBox { from: corner, to: std::array::from_fn(|axis| corner[axis] + size[axis] * 300.0) };
         let mount = Mount { x: 0.0, y: 0.0, yaw };
-        let zones = vec![ClosedZone { name: path("/zone"), bounds: Some(bounds), owner: None }];
+        let zones = vec![ClosedZone { name: path("/zone"), bounds: Some(bounds), owner: None, gone: false }];
         let closed = Closed { mount, zones, ..Closed::default() };
         let inner = ZoneBox { from: bounds.from.map(|at| at + MARGIN), to: bounds.to.map(|at| at - MARGIN) };
         if closed.check_leg(&a, &b).is_ok() {

@@ -431,6 +431,7 @@ fn the_hub_s_own_command_needs_no_fence() {
     check(
         "gate alice 5
          alice command 1 5: look 30 -20
+         > state 0 -20 free
          > status alice/1 waiting 0/1
          > status alice/1 executing 1/1
          after 100
@@ -557,4 +558,30 @@ fn a_gap_is_a_stop_of_which_it_tells_the_hub() {
     let state = stage.out.last().expect("a state").value();
     assert_eq!(state.get("stopped"), Some(&Value::Bool(false)));
     assert_eq!(state.get("stop"), Some(&Value::Int(3)));
+}
+
+/// A configuration guards the channel from now on, by a token whose fences are lower; or only that somebody owns that is heard.
+#[test]
+fn what_was_sent_without_a_fence_ends_where_a_guard_appears() {
+    let guard = Map::new().with("token", "/camera/key").with("owner", "bob");
+    let guard = guard.with("names", vec![COMMAND.into()]).with("fence", 3);
+    let guard = Map::new().with("guard", guard);
+    for (guard, line) in [(guard, "bob command 2 3: look 10 0"), (Map::new(), "grabbed 6")] {
+        let mut stage = Stage::new();
+        stage.act("alice command 1 -: look 100 0; look 0 0");
+        stage.pass(300);
+        assert!(stage.heard().contains(&"status alice/1 executing 1/2".to_owned()));
+        stage.gate.joined(&guard);
+        // Fences of two tokens say nothing of each other.
+        stage.fence = None;
+        stage.act(line);
+        let ended = stage.heard();
+        assert!(
+            ended.contains(&"status alice/1 error 1/2 halted 5101".to_owned()),
+            "{ended:?}"
+        );
+        stage.pass(3_000);
+        let obeyed = stage.heard().contains(&"status bob/2 finished 1/1".to_owned());
+        assert_eq!(obeyed, line != "grabbed 6");
+    }
 }

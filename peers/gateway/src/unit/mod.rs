@@ -1,12 +1,10 @@
 //! One robot as its gateway knows it: what statements become on the wire, and what replies say of it.
 
 use std::collections::VecDeque;
-use std::fmt;
-use std::sync::Arc;
 
 use mom_brs::{Code, Command, Frame, Table};
 use mom_client::Map;
-use mom_device::{DeviceError, DeviceTime, ErrorName, Machine, Script, Word, Words};
+use mom_device::{DeviceError, DeviceTime, ErrorName, Machine, Sample, Script, Word, Words};
 use mom_fleet::Action;
 use mom_linuxbot::Status;
 
@@ -24,8 +22,6 @@ const SETTLES: DeviceTime = 500_000;
 const MOST_ASKED: usize = 8;
 /// One that moves and answers nothing for so long is given up, with what is under way to it: it would be carried out late.
 const UNANSWERED: DeviceTime = 1_000_000;
-/// A statement that begins more µs late than this is not begun: the gateway stood still, and the robot's watchdog has acted.
-const PATIENCE: DeviceTime = 1_000_000;
 /// The most points of one statement; the robot keeps 64.
 const MOST_POINTS: usize = 64;
 
@@ -40,8 +36,8 @@ const MOST_POINTS: usize = 64;
 pub struct Unit {
     number: u32,
     table: &'static Table,
-    /// What time it is by the program's clocks; none where time passes only as it is told.
-    clock: Option<Clock>,
+    /// µs since 1970 at time 0, if that is known.
+    epoch: Option<i64>,
     now: DeviceTime,
     /// Whether the robot takes commands.
     linked: bool,
@@ -52,6 +48,8 @@ pub struct Unit {
     /// What it did last say of itself, and when that was asked: what it says was so then or later.
     status: Option<(Status, DeviceTime)>,
     pose: Option<(Pose, DeviceTime)>,
+    /// When that came.
+    posed: DeviceTime,
     /// When what was asked of it was asked, in order: replies come in the order of their questions (W2).
     asked_status: VecDeque<Question>,
     asked_pose: VecDeque<DeviceTime>,
@@ -76,20 +74,6 @@ pub struct Unit {
     leds: i32,
     /// The round trip, in µs, of the last question that was answered.
     round_trip: Option<DeviceTime>,
-}
-
-/// The clocks of a program.
-#[derive(Clone)]
-struct Clock {
-    now: Arc<dyn Fn() -> DeviceTime + Send + Sync>,
-    /// µs since 1970 at its time 0.
-    epoch: i64,
-}
-
-impl fmt::Debug for Clock {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Clock").finish_non_exhaustive()
-    }
 }
 
 /// Where a robot says that it is: mm, mm, degrees.
@@ -135,13 +119,14 @@ impl Unit {
         Self {
             number,
             table,
-            clock: None,
+            epoch: None,
             now: 0,
             linked: false,
             unlinked: 0,
             out: Vec::new(),
             status: None,
             pose: None,
+            posed: 0,
             asked_status: VecDeque::new(),
             asked_pose: VecDeque::new(),
             question: 0,
@@ -158,12 +143,10 @@ impl Unit {
         }
     }
 
-    /// The same with the clock of its program, and the µs since 1970 at its time 0: a statement that should have begun long ago is not
-    /// begun, and since when a robot is not reached can be said.
+    /// The same with the µs since 1970 at its time 0, so that it says since when a robot is not reached.
     #[must_use]
-    pub fn with_clock(mut self, now: impl Fn() -> DeviceTime + Send + Sync + 'static, epoch: i64) -> Self {
-        let now = Arc::new(now);
-        self.clock = Some(Clock { now, epoch });
+    pub fn with_epoch(mut self, epoch: i64) -> Self {
+        self.epoch = Some(epoch);
         self
     }
 
@@ -260,6 +243,7 @@ impl Unit {
             (Code::POSE, &[x, y, heading]) => {
                 if let Some(asked) = self.asked_pose.pop_front() {
                     self.pose = Some((Pose { x, y, heading }, asked));
+                    self.posed = self.now;
                 }
                 Ok(())
             }
@@ -376,13 +360,6 @@ impl Unit {
         }
     }
 
-    /// How late it is now for what was to begin at `now`, if that is more than can be made up for.
-    fn is_late(&self) -> Option<DeviceTime> {
-        let clock = self.clock.as_ref()?;
-        let late = (clock.now)().saturating_sub(self.now);
-        (late > PATIENCE).then_some(late)
-    }
-
     /// Asks pose and status.
     fn ask_now(&mut self) {
         self.ask = self
@@ -452,14 +429,6 @@ impl Machine for Unit {
 
     fn begin(&mut self, action: &Action, now: DeviceTime) -> Result<(), DeviceError> {
         self.now = now;
-        if let Some(late) = self.is_late() {
-            let text = format!(
-                "robot {} was halted: its gateway stood still for {} ms",
-                self.number,
-                late / 1000
-            );
-            return Err(DeviceError::new(ErrorName::Halted, text));
-        }
         if self.motors.take().is_some() && !matches!(action, Action::Motor { .. }) {
             self.stand();
         }
@@ -544,6 +513,12 @@ impl Machine for Unit {
         }
     }
 
+    /// Its pose was so between its question and its answer; of when its status was asked that says nothing.
+    fn measured(&self, _at: DeviceTime) -> Option<Sample> {
+        let (_, asked) = self.pose?;
+        Some(Sample::of(&self.position(), asked)?.until(self.posed))
+    }
+
     /// `{x, y, heading}` in mm, mm and degrees, once it has said so.
     fn position(&self) -> Map {
         match self.pose {
@@ -562,8 +537,8 @@ impl Machine for Unit {
             .with("linked", self.linked)
             .with("reached", self.linked)
             .with("leds", self.leds);
-        if let Some(clock) = self.clock.as_ref().filter(|_| !self.linked) {
-            map.set("unreached-since", clock.epoch.saturating_add(self.unlinked));
+        if let Some(epoch) = self.epoch.filter(|_| !self.linked) {
+            map.set("unreached-since", epoch.saturating_add(self.unlinked));
         }
         if let Some((status, _)) = self.status {
             map.set("battery", i64::from(status.battery));

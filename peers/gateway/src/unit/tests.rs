@@ -368,7 +368,7 @@ proptest! {
 #[test]
 fn a_robot_that_cannot_be_reached_is_not_said_to_stand() {
     let mut pair = Pair::new(10 * MS);
-    let unit = Unit::new(7, &EXTENDED).with_clock(|| 0, 1_000_000);
+    let unit = Unit::new(7, &EXTENDED).with_epoch(1_000_000);
     pair.queue = CommandQueue::new(unit);
     let said = |pair: &Pair| {
         let state = pair.queue.state();
@@ -443,17 +443,12 @@ fn a_halt_at_rest_reaches_the_robot_too_and_is_said_again_until_it_answers() {
 /// Its gateway is stopped for seconds; then all that was due is due at once.
 #[test]
 fn a_statement_that_should_have_begun_long_ago_is_not_begun() {
-    let clock = Arc::new(std::sync::atomic::AtomicI64::new(0));
-    let told = Arc::clone(&clock);
     let mut pair = Pair::new(0);
-    let now = move || told.load(std::sync::atomic::Ordering::Relaxed);
-    pair.queue = CommandQueue::new(Unit::new(7, &EXTENDED).with_clock(now, 0));
     pair.note(Unit::linked);
     pair.pass(100 * MS);
     pair.command("motor 300 300 500; leds 7; motor 300 300 500")
         .expect("it is taken");
     pair.pass(300 * MS);
-    clock.store(5000 * MS, std::sync::atomic::Ordering::Relaxed);
     pair.now = 5000 * MS;
     pair.queue.advance(pair.now, &mut pair.events);
     let frames = pair.said();
@@ -466,4 +461,42 @@ fn a_statement_that_should_have_begun_long_ago_is_not_begun() {
     assert!(drives.iter().all(|frame| frame == "06 00000 00000"), "{drives:?}");
     assert_eq!(pair.ended(), ["halted"]);
     assert!(pair.queue.machine().leds == 0 && pair.queue.machine().insists);
+}
+
+/// Two causes of a halt within a moment have it asked twice: a pose is as old as its own question, not as that of the status beside it.
+#[test]
+fn one_that_turns_is_not_said_to_rest_however_often_it_is_halted() {
+    for (delay, between) in [(0, 50), (2, 20), (2, 50), (2, 130), (2, 250), (30, 60), (60, 110)] {
+        let mut pair = Pair::new(delay * MS);
+        pair.pass(1_500 * MS);
+        pair.command("motor 1000 -1000 3000").expect("it can");
+        pair.pass(2_300 * MS);
+        pair.queue.stop(pair.now, "a test", &mut pair.events);
+        pair.pump();
+        pair.pass(pair.now + between * MS);
+        pair.queue.stop(pair.now, "a test", &mut pair.events);
+        pair.pump();
+        let (stopped, mut headings) = (pair.now, VecDeque::new());
+        while pair.queue.state().rest.is_none() {
+            let now = pair.now + MS;
+            pair.pass(now);
+            let pose = pair.robot.glance(now).and_then(|glance| glance.pose);
+            headings.push_back((now, pose.expect("it knows").heading));
+            assert!(
+                now < stopped + 5_000 * MS,
+                "{delay} {between}: it rests in the end"
+            );
+        }
+        let (last, heading) = headings.back().copied().expect("some");
+        let before = headings
+            .iter()
+            .find(|(at, _)| *at >= last - 300 * MS)
+            .expect("0.3 s ago")
+            .1;
+        assert!(
+            (heading - before).abs() < 2.0,
+            "{delay} {between}: it turned by {} degrees in the last 0.3 s",
+            heading - before
+        );
+    }
 }

@@ -1,6 +1,6 @@
 //! What statements do to a robot, and what a driver that does not obey does to them.
 
-use std::sync::atomic::{AtomicI64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use mom_client::Value;
 use mom_device::{Command, CommandQueue, Order, QueueEvent};
@@ -305,16 +305,9 @@ fn of_a_program_that_stood_still_the_motion_ends_and_no_later_statement_begins()
         ("motor 300 300 100; wait 1000; leds 7", 300, false),
     ] {
         let mut stage = Stage::new();
-        let clock = Arc::new(AtomicI64::new(0));
-        let told = Arc::clone(&clock);
-        let pose = Pose::new(1000.0, 1000.0, 0.0);
-        let robot = Simulated::new(Chassis::LINUXBOT, Power::LINUXBOT, Floor::ARENA, pose).expect("a robot");
-        let rover = Rover::new(Box::new(robot), Chassis::LINUXBOT, None);
-        stage.queue = CommandQueue::new(rover.with_clock(move || told.load(Ordering::Relaxed)));
         stage.command(script).expect("it can");
         stage.pass(at * MS);
         let before = stage.x();
-        clock.store(6000 * MS, Ordering::Relaxed);
         stage.now = 6000 * MS;
         stage.queue.advance(stage.now, &mut stage.events);
         let mut failure = None;

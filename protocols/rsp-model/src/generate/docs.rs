@@ -116,6 +116,9 @@ fn notes(model: &Model, element: &ModelElement, place: usize) -> String {
     if element.period > 0 {
         notes.push(format!("At most every {} ms.", element.period));
     }
+    if element.lasts > 0 {
+        notes.push(format!("It goes on for {} ms at most.", element.lasts));
+    }
     if let Some(effector) = element.of.and_then(|of| model.elements.get(usize::from(of))) {
         notes.push(format!("States of `{}`.", effector.name));
     }

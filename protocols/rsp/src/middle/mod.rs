@@ -303,7 +303,8 @@ impl<'m> Middle<'m> {
     }
 
     /// Wants an element active or not; a module stands for its members (S6, S7). An effector that is deactivated takes its safe value,
-    /// and forgets what was written.
+    /// and forgets what was written. Calls of a command that is deactivated are withdrawn, with a [`Notice::Unknown`] each: once the robot
+    /// has confirmed it, one that was sent begins no more, and one that had begun has ended.
     ///
     /// # Errors
     ///
@@ -496,16 +497,10 @@ impl<'m> Middle<'m> {
 
     /// The session is over: nothing of it is sent again by itself.
     fn forget(&mut self) {
-        for (place, device) in self.devices.iter_mut().enumerate() {
-            let element = place as u8;
-            let call = device.call.take().map(|call| call.ticket);
-            for ticket in call
-                .into_iter()
-                .chain(device.queue.drain(..).map(|(ticket, _)| ticket))
-            {
-                // As many as `command` has let in.
-                self.notices.push_back(Notice::Unknown { element, ticket });
-            }
+        for place in 0..self.devices.len() {
+            self.withdraw(place as u8);
+        }
+        for device in &mut self.devices {
             device.rest();
             *device = ElementState {
                 reading: device.reading.take(),
@@ -515,6 +510,21 @@ impl<'m> Middle<'m> {
         }
         self.outgoing.clear();
         (self.due_data, self.due_control, self.budget) = (false, false, 0);
+    }
+
+    /// No call of an element that is not acknowledged is sent again.
+    fn withdraw(&mut self, element: u8) {
+        let Some(device) = self.devices.get_mut(usize::from(element)) else {
+            return;
+        };
+        let call = device.call.take().map(|call| call.ticket);
+        for ticket in call
+            .into_iter()
+            .chain(device.queue.drain(..).map(|(ticket, _)| ticket))
+        {
+            // As many as `command` has let in.
+            self.notices.push_back(Notice::Unknown { element, ticket });
+        }
     }
 
     /// Asks for a session with a new nonce.

@@ -51,7 +51,8 @@ pub enum Notice {
         /// What [`command`](super::Middle::command) gave.
         ticket: u32,
     },
-    /// The session is over before the command was acknowledged: it was executed once, or not at all. It is never sent again.
+    /// The session is over, or the command was deactivated, before it was acknowledged: it was executed once, or not at all. It is never
+    /// sent again.
     Unknown {
         /// The element.
         element: u8,

@@ -124,22 +124,28 @@ impl Middle<'_> {
     }
 
     /// Makes the next control when the last one is confirmed: so the robot sees each deactivation, and both ends forget the same values.
+    /// One that deactivates waits for nothing, and does no more than that: whichever of the two the robot hears, it sees it.
     fn make_control(&mut self) {
-        if !self.control.is_confirmed || !self.is_control_old() {
+        let waits = !self.control.is_confirmed;
+        let rests = self.devices.iter().any(|device| device.level && !device.wanted);
+        if !self.is_control_old() || (waits && !rests) {
             return;
         }
         self.control.number = self.control.number.wrapping_add(1);
-        self.control.period = self.settings.period;
         self.control.is_confirmed = false;
+        if !waits {
+            self.control.period = self.settings.period;
+        }
         for device in &mut self.devices {
-            device.level = device.wanted;
+            device.level = device.wanted && (device.level || !waits);
         }
         for place in 0..self.devices.len() {
             let element = place as u8;
-            if !self.with_module(element, |device| device.level)
-                && let Some(device) = self.devices.get_mut(place)
-            {
-                device.rest();
+            if !self.with_module(element, |device| device.level) {
+                self.withdraw(element);
+                if let Some(device) = self.devices.get_mut(place) {
+                    device.rest();
+                }
             }
         }
         let mut outgoing = core::mem::take(&mut self.outgoing);

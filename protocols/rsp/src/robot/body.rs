@@ -30,13 +30,14 @@ pub trait Body {
         None
     }
 
-    /// An element was activated or deactivated (S6, S7).
+    /// An element was activated or deactivated (S6, S7). What a deactivated command has begun ends now, as does what a deactivated
+    /// effector plays: so a robot is stopped.
     fn active(&mut self, element: u8, active: bool) {
         let _ = (element, active);
     }
 
-    /// A session began; or it is over, and all effectors have their safe values. The next one numbers its blobs anew: what puts them
-    /// together is cleared.
+    /// A session began; or it is over, and all effectors have their safe values: what commands have begun ends now, too. The next one
+    /// numbers its blobs anew: what puts them together is cleared.
     fn session(&mut self, up: bool) {
         let _ = up;
     }

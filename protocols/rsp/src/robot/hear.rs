@@ -81,7 +81,8 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
         self.traffic = Some(traffic);
         (self.pending, self.phase, self.paper) = (None, Phase::Up, paper);
         (self.period, self.next) = (period, now);
-        (self.fed, self.floor, self.control, self.cleared) = (now, 0, None, 0);
+        (self.fed, self.floor, self.barrier) = (now, 0, 0);
+        (self.control, self.cleared) = (None, 0);
         (self.answers.control, self.answers.end, self.is_ender) = (false, false, false);
         body.session(true);
         self.hear(now, full, header, payload, body)
@@ -113,6 +114,9 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
             (Type::Control, Phase::Up) => self.hear_control(now, full, payload, body),
             (_, Phase::Up) => {
                 let fragment = Fragment::parse(payload)?;
+                if full < self.barrier {
+                    return Ok(());
+                }
                 let known = self
                     .layout
                     .element(fragment.element)
@@ -152,8 +156,10 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
             }
         }
         for (place, item) in items {
-            // A late packet moves nothing, but its ids and acknowledgements count: they do so once anyway.
+            // A late packet moves nothing, but its ids and acknowledgements count: they do so once anyway. Only a call that a control has
+            // overtaken is no more than one that was lost: it may have been withdrawn.
             match item {
+                Item::Call { .. } if full < self.barrier => {}
                 Item::Call { id, data } => self.execute(place, id, data, is_newest, body),
                 Item::Ack(0) if !is_newest => {}
                 Item::Ack(id) => self.hear_ack(place, id),
@@ -277,6 +283,8 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
         };
         match element.kind {
             Kind::Effector if !active => self.make_safe(place, body),
+            // The middle has withdrawn what was under way, and a packet that had it is behind the barrier.
+            Kind::Command | Kind::MemoryCommand if !active => (cell.id, cell.count) = (0, 0),
             Kind::Sensor | Kind::Monitor => {
                 cell.clear(SENT | ASKED);
                 cell.set(NEW);
@@ -308,6 +316,7 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
         if self.control.is_none_or(|(_, last)| last != number) {
             // Data packets that this one has overtaken speak of what was active before: they are late.
             self.floor = self.floor.max(full + 1);
+            self.barrier = full + 1;
             if period != self.period {
                 self.period = period;
                 let latest = now + self.period_us();

@@ -84,6 +84,8 @@ pub struct Robot<'m, const E: usize, const V: usize, const B: usize, const S: us
     fed: u64,
     /// Data packets below this sequence are late.
     floor: u64,
+    /// Calls and parts of blobs below this sequence were sent before the newest control: they count no more.
+    barrier: u64,
     /// The newest control: its sequence, and its number.
     control: Option<(u64, u8)>,
     /// The middle's counter of cleared buffers.
@@ -138,6 +140,7 @@ impl<'m, const E: usize, const V: usize, const B: usize, const S: usize> Robot<'
             moved: 0,
             fed: 0,
             floor: 0,
+            barrier: 0,
             control: None,
             cleared: 0,
             budget: 0,
@@ -243,6 +246,13 @@ impl<'m, const E: usize, const V: usize, const B: usize, const S: usize> Robot<'
         let active = |place: usize| self.cells.get(place).is_some_and(|cell| cell.is(ACTIVE));
         let module = self.layout.element(element).and_then(|of| of.module);
         active(usize::from(element)) && module.is_none_or(|module| active(usize::from(module)))
+    }
+
+    /// When the watchdog has all effectors take their safe values, if no data packet comes before; `None` without a session or a watchdog.
+    /// Hardware that stops by itself is given this time, for when the robot's own program stands still.
+    #[must_use]
+    pub fn deadline(&self) -> Option<u64> {
+        (self.is_up() && self.is_watched()).then(|| self.fed + self.watchdog_us())
     }
 
     /// Time between two data packets, ms; of the last session if there is none.

@@ -42,8 +42,10 @@ pub(super) enum Seen {
     Unstop { number: u64 },
     /// The token is known to be with this owner.
     Grant { owner: String, fence: u64 },
-    /// A command leaves. The body moves this way by it, where it moves.
-    Command { owner: String, ways: f64 },
+    /// A command leaves, under a fence or while nothing guards the channel. The body moves this way by it, where it moves.
+    Command { owner: String, ways: f64, fenced: bool },
+    /// The hub has told a new guard of the channel.
+    Guarded,
     /// A command has ended, by a word of the device or the hub.
     Ended { owner: String },
     /// The statement that was begun is the last that moves, and takes so long.

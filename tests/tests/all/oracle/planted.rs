@@ -31,10 +31,11 @@ pub(super) enum Plant {
     UnlatchesAtReconnect,
     OneWheelGoesOn,
     TellsOldPlace,
+    GoesOnUnderAGuard,
 }
 
 impl Plant {
-    pub(super) const FAULTS: [Self; 11] = [
+    pub(super) const FAULTS: [Self; 12] = [
         Self::ObeysStopLate,
         Self::SaysStoppedBefore,
         Self::BeginsQueuedAfterStop,
@@ -46,6 +47,7 @@ impl Plant {
         Self::UnlatchesAtReconnect,
         Self::OneWheelGoesOn,
         Self::TellsOldPlace,
+        Self::GoesOnUnderAGuard,
     ];
 
     /// By what the oracle finds it.
@@ -61,6 +63,7 @@ impl Plant {
             Self::IgnoresLostLink => &[Rule::LinkLost],
             Self::GoesOnAfterDeadline => &[Rule::Deadline],
             Self::TellsOldPlace => &[Rule::WrongPlace],
+            Self::GoesOnUnderAGuard => &[Rule::Unguarded],
         }
     }
 }
@@ -328,7 +331,8 @@ impl Device {
             Event::Message(parcel)
                 if parcel.name() == "halt"
                     && parcel.sender.as_deref() == Some(HUB)
-                    && self.plant != Plant::ObeysOldFence =>
+                    && self.plant != Plant::ObeysOldFence
+                    && !(self.plant == Plant::GoesOnUnderAGuard && parcel.value().get("guard").is_some()) =>
             {
                 self.halt();
             }

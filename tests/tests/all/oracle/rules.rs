@@ -6,7 +6,7 @@
 use std::fmt;
 
 use super::body::{Look, Motion, looks, motions};
-use super::log::{Hindered, Log, Micros, Seen};
+use super::log::{Hindered, Log, Micros, Sample, Seen};
 
 /// A device hears at the latest so long after it was last heard of that its link is lost: three of its signs of life.
 pub(super) const GONE: Micros = 1_500_000;
@@ -28,11 +28,9 @@ pub(super) struct Spec {
     pub(super) tolerance: Vec<f64>,
     /// Within which it stands once it has been stopped.
     pub(super) stopping: Micros,
-    /// How long what moves it goes on by itself when its program stands still; none: as long as its command says.
-    pub(super) hold: Option<Micros>,
-    /// Whether the robot behind its program has a deadline, too, when its own program stands still.
-    pub(super) robot_holds: bool,
-    /// How long it has rested before a new owner's first motion; none: that is not judged.
+    /// How long what moves it goes on by itself when a program stands still, from when that had its last turn.
+    pub(super) hold: Micros,
+    /// How long it has stayed within its tolerance before a new owner's first motion; none: that is not judged.
     pub(super) rests_first: Option<Micros>,
 }
 
@@ -47,6 +45,7 @@ pub(super) enum Rule {
     FirstMotionAtRest,
     MovesAtRest,
     WrongPlace,
+    Unguarded,
     LinkLost,
     ProgramStandsStill,
     Deadline,
@@ -82,7 +81,7 @@ fn is_robots(what: Hindered) -> bool {
 struct Body<'a> {
     spec: &'a Spec,
     log: &'a Log,
-    samples: &'a [super::log::Sample],
+    samples: &'a [Sample],
     looks: Vec<Look>,
     motions: Vec<Motion>,
     slack: Micros,
@@ -106,6 +105,7 @@ pub(super) fn judge(log: &Log, spec: &Spec) -> Vec<Violation> {
         body.stops(&mut found);
         body.words_of_stops(&mut found);
         body.owners(&mut found);
+        body.guards(&mut found);
         body.rests(&mut found);
         body.hindered(&mut found);
         body.deadlines(&mut found);
@@ -116,7 +116,7 @@ pub(super) fn judge(log: &Log, spec: &Spec) -> Vec<Violation> {
 
 /// How many motions there were.
 pub(super) fn count(log: &Log, spec: &Spec) -> usize {
-    let of = |samples: &Vec<super::log::Sample>| {
+    let of = |samples: &Vec<Sample>| {
         let looks = looks(samples, &spec.least, spec.turns);
         motions(&looks, spec.least[0]).len()
     };
@@ -189,12 +189,10 @@ impl Body<'_> {
     }
 
     /// How long the body may go on when its program, or the way to it, is hindered.
-    fn hold(&self, from: Micros, to: Micros) -> Option<Micros> {
-        let frozen = self.is_hindered(|what| what == Hindered::Program(2), from, to);
+    fn hold(&self, from: Micros, to: Micros) -> Micros {
         match self.is_hindered(is_robots, from, to) {
-            true if frozen && !self.spec.robot_holds => None,
             true => self.spec.hold,
-            false => Some(0),
+            false => 0,
         }
     }
 
@@ -209,10 +207,7 @@ impl Body<'_> {
                 let words = format!("a motion begins {late} ms after the hub took stop {number}");
                 self.add(found, Rule::BeginsAfterStop, motion.since, words);
             }
-            let Some(hold) = self.hold(at, bound + self.spec.stopping) else {
-                continue;
-            };
-            let bound = bound + self.spec.stopping + hold;
+            let bound = bound + self.spec.stopping + self.hold(at, bound + self.spec.stopping);
             if let Some(moves) = self.moves(bound, free) {
                 let late = (moves - at) / 1000;
                 let words = format!("it moves {late} ms after the hub took stop {number}");
@@ -245,10 +240,8 @@ impl Body<'_> {
                 self.add(found, Rule::BeginsAfterStopped, motion.since, words);
             }
             let most = at + self.spec.stopping;
-            let Some(hold) = self.hold(at - GONE, most) else {
-                continue;
-            };
-            if let Some(moves) = self.moves(most + hold + self.slack, free) {
+            let bound = most + self.hold(at - GONE, most) + self.slack;
+            if let Some(moves) = self.moves(bound, free) {
                 let late = (moves - at) / 1000;
                 let words = format!("it moves {late} ms after the device said that stop {stop} holds");
                 self.add(found, Rule::RollsOnAfterStopped, moves, words);
@@ -259,10 +252,39 @@ impl Body<'_> {
     /// Which way the body moves by commands of this owner, if it has sent any before.
     fn way_of(&self, owner: &str, before: Micros) -> Option<f64> {
         let of = |(at, seen): (Micros, &Seen)| match seen {
-            Seen::Command { owner: who, ways } if who == owner && at < before => Some(*ways),
+            Seen::Command { owner: who, ways, .. } if who == owner && at < before => Some(*ways),
             _ => None,
         };
         self.seen().rev().find_map(of)
+    }
+
+    /// When somebody sends what no fence guards, after this time.
+    fn unfenced(&self, after: Micros) -> Micros {
+        let is = |(at, seen): (Micros, &Seen)| {
+            let is = matches!(seen, Seen::Command { fenced: false, .. });
+            (is && at > after).then_some(at)
+        };
+        self.seen().find_map(is).unwrap_or(Micros::MAX)
+    }
+
+    /// What was sent without a fence, after a guard has appeared.
+    fn guards(&self, found: &mut Vec<Violation>) {
+        for (at, _) in self.seen().filter(|(_, seen)| **seen == Seen::Guarded) {
+            // What was sent under a fence may have come behind the guard.
+            let mut sent = self.seen().filter(|(time, _)| *time > at - GONE && *time <= at);
+            if sent.any(|(_, seen)| matches!(seen, Seen::Command { fenced: true, .. })) {
+                continue;
+            }
+            let hindered = self.is_hindered(|_| true, at - GONE, at + self.spec.stopping);
+            let bound = at + if hindered { GONE } else { 0 } + ROUND_TRIP + self.slack;
+            let rests = bound + self.spec.stopping + self.hold(at - GONE, bound + self.spec.stopping);
+            let until = self.disturbed(at);
+            let begins = self.begins(bound, until).map(|motion| motion.since);
+            if let Some(moves) = self.moves(rests, until).into_iter().chain(begins).min() {
+                let words = format!("it moves {} ms after a guard appeared", (moves - at) / 1000);
+                self.add(found, Rule::Unguarded, moves, words);
+            }
+        }
     }
 
     /// What changes hands.
@@ -278,6 +300,7 @@ impl Body<'_> {
         grants.dedup_by_key(|(.., fence)| *fence);
         for (index, (at, owner, fence)) in grants.iter().enumerate() {
             let next = grants.get(index + 1).map_or(Micros::MAX, |(at, ..)| *at);
+            let next = next.min(self.unfenced(*at));
             let before = grants.get(..index).and_then(<[_]>::last);
             let Some((_, old, _)) = before.filter(|(_, old, _)| old != owner) else {
                 continue;
@@ -311,13 +334,13 @@ impl Body<'_> {
                 && let Some(last) = place.checked_sub(1).and_then(|last| self.motions.get(last))
                 && last.way * theirs > 0.0
                 && last.until > *at - 100_000
-                && self
-                    .spec
-                    .rests_first
-                    .is_some_and(|rests| motion.since - last.until < rests)
+                && let Some(rests) = self.spec.rests_first
+                && let Some((index, far)) = self.strays(motion.since - rests, motion.since)
             {
                 let rested = (motion.since - last.until) / 1000;
-                let words = format!("{owner}'s first motion begins {rested} ms after the end of {old}'s");
+                let words = format!(
+                    "{owner}'s first motion begins {rested} ms after {old}'s, and number {index} of its place has changed by {far:.1} just before"
+                );
                 self.add(found, Rule::FirstMotionAtRest, motion.since, words);
             }
         }
@@ -350,6 +373,30 @@ impl Body<'_> {
         self.seen().find_map(disturbs).unwrap_or(Micros::MAX)
     }
 
+    /// Which number of its place differs by more than its tolerance, and by how much.
+    fn off(&self, from: &Sample, to: &Sample) -> Option<(usize, f64)> {
+        let far = |index: usize| {
+            let change = (to.place[index] - from.place[index]).abs();
+            match self.spec.turns == Some(index) {
+                true => change.min(360.0 - change),
+                false => change,
+            }
+        };
+        let all = (0..self.spec.tolerance.len()).map(|index| (index, far(index)));
+        all.into_iter()
+            .find(|(index, far)| *far > self.spec.tolerance[*index])
+    }
+
+    /// The same of where it was within these times.
+    fn strays(&self, from: Micros, to: Micros) -> Option<(usize, f64)> {
+        let mut within = self
+            .samples
+            .iter()
+            .filter(|sample| sample.at >= from && sample.at <= to);
+        let first = within.next()?;
+        within.find_map(|sample| self.off(first, sample))
+    }
+
     /// While it rests by its word.
     fn rests(&self, found: &mut Vec<Violation>) {
         let mut judged = 0;
@@ -369,7 +416,7 @@ impl Body<'_> {
                 continue;
             }
             let until = self.disturbed(at);
-            let within = |sample: &&super::log::Sample| sample.at >= at && sample.at < until;
+            let within = |sample: &&Sample| sample.at >= at && sample.at < until;
             // It is the word of an earlier body where this one was not there yet.
             if self.samples.first().is_none_or(|first| first.at > at) {
                 continue;
@@ -379,17 +426,8 @@ impl Body<'_> {
             };
             judged = until;
             for sample in self.samples.iter().filter(within) {
-                let far = |index: usize| {
-                    let change = (sample.place[index] - first.place[index]).abs();
-                    match self.spec.turns == Some(index) {
-                        true => change.min(360.0 - change),
-                        false => change,
-                    }
-                };
-                let index =
-                    (0..self.spec.tolerance.len()).find(|index| far(*index) > self.spec.tolerance[*index]);
-                if let Some(index) = index {
-                    let (far, late) = (far(index), (sample.at - at) / 1000);
+                if let Some((index, far)) = self.off(first, sample) {
+                    let late = (sample.at - at) / 1000;
                     let words = format!(
                         "number {index} of its place is off by {far:.1} within {late} ms of its word that it rests"
                     );
@@ -410,9 +448,7 @@ impl Body<'_> {
     fn hindered(&self, found: &mut Vec<Violation>) {
         for (_, begin, end) in self.hindrances(is_hubs) {
             let bound = begin + GONE + ROUND_TRIP + self.slack;
-            let Some(hold) = self.hold(begin, end.min(bound + self.spec.stopping)) else {
-                continue;
-            };
+            let hold = self.hold(begin, end.min(bound + self.spec.stopping));
             let moves = self.moves(bound + self.spec.stopping + hold, end);
             let begins = self.begins(bound, end).map(|motion| motion.since);
             if let Some(at) = moves.into_iter().chain(begins).min() {
@@ -420,13 +456,8 @@ impl Body<'_> {
                 self.add(found, Rule::LinkLost, at, words);
             }
         }
-        let Some(hold) = self.spec.hold else { return };
-        for (what, begin, end) in self.hindrances(|what| matches!(what, Hindered::Program(1..))) {
-            let robots = |what| what == Hindered::Program(2);
-            if !self.spec.robot_holds && (robots(what) || self.is_hindered(robots, begin, end)) {
-                continue;
-            }
-            let bound = begin + hold + self.spec.stopping + self.slack;
+        for (_, begin, end) in self.hindrances(|what| matches!(what, Hindered::Program(1..))) {
+            let bound = begin + self.spec.hold + self.spec.stopping + self.slack;
             if let Some(at) = self.moves(bound, end) {
                 let words = format!(
                     "it moves {} ms after its program stood still",
@@ -444,7 +475,7 @@ impl Body<'_> {
                 continue;
             };
             let way = self.way_of(owner, at);
-            let most = at + lasts + self.spec.hold.unwrap_or(0) + self.spec.stopping + self.slack;
+            let most = at + lasts + self.spec.hold + self.spec.stopping + self.slack;
             let others = self.seen().any(|(time, seen)| {
                 time > at - GONE
                     && time < most + GONE

@@ -12,9 +12,8 @@ fn spec() -> Spec {
         turns: Some(1),
         tolerance: vec![2.0, 2.0],
         stopping: 200 * MS,
-        hold: Some(500 * MS),
-        robot_holds: true,
-        rests_first: Some(200 * MS),
+        hold: 500 * MS,
+        rests_first: Some(270 * MS),
     }
 }
 
@@ -61,6 +60,7 @@ fn command(owner: &str, ways: f64) -> Seen {
     Seen::Command {
         owner: owner.to_owned(),
         ways,
+        fenced: true,
     }
 }
 
@@ -162,6 +162,32 @@ fn what_has_lost_its_link_or_its_program_stands() {
         found(&[(3000, 300.0), (6000, 0.0)], &frozen),
         [Rule::ProgramStandsStill]
     );
+}
+
+#[test]
+fn what_was_sent_without_a_fence_ends_where_a_guard_appears() {
+    let unfenced = Seen::Command {
+        owner: "bob".to_owned(),
+        ways: 1.0,
+        fenced: false,
+    };
+    let seen = [(900, unfenced), (2000, Seen::Guarded)];
+    assert_eq!(found(&[(1000, 0.0), (2300, 300.0), (4000, 0.0)], &seen), []);
+    for wrong in [
+        vec![(1000, 0.0), (4000, 300.0)],
+        vec![
+            (1000, 0.0),
+            (2000, 300.0),
+            (2600, 0.0),
+            (2700, 300.0),
+            (4000, 0.0),
+        ],
+    ] {
+        assert_eq!(found(&wrong, &seen), [Rule::Unguarded]);
+    }
+    // What somebody owns may go on.
+    let seen = [(1900, command("alice", 1.0)), (2000, Seen::Guarded)];
+    assert_eq!(found(&[(1000, 0.0), (4000, 300.0)], &seen), []);
 }
 
 #[test]

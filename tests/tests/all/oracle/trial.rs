@@ -46,6 +46,8 @@ enum Deed {
     Kill(usize),
     Restart(usize),
     Reload,
+    /// A reload after which the channel is guarded, or is not.
+    Guard(bool),
     Nothing,
 }
 
@@ -108,7 +110,7 @@ impl Outcome {
 /// What a seed does to this kind of device, in the order of times in ms: one of some plain plots, and then anything.
 fn plan(kind: Kind, seed: u64) -> Vec<(u64, Deed)> {
     let mut chance = Rng::with_seed(seed);
-    let (mut plan, mut at) = plot(kind, &mut chance);
+    let (mut plan, mut at) = plot(kind, seed, &mut chance);
     let more = if plan.len() > 2 {
         chance.u64(0..3)
     } else {
@@ -146,11 +148,11 @@ fn plan(kind: Kind, seed: u64) -> Vec<(u64, Deed)> {
 }
 
 /// Somebody drives, and then what is most asked of a device happens, or nothing yet. Also when that is over.
-fn plot(kind: Kind, chance: &mut Rng) -> (Vec<(u64, Deed)>, u64) {
+fn plot(kind: Kind, seed: u64, chance: &mut Rng) -> (Vec<(u64, Deed)>, u64) {
     let mut plan = vec![(0, Deed::HandOver(Way::LetGo)), (20, drive(chance))];
-    // Of a planted fault it is to be shown soon that it is found.
-    let plots = if matches!(kind, Kind::Planted(_)) { 6 } else { 10 };
-    let plot = chance.u32(..plots);
+    // Each in its turn; of a planted fault it is to be shown soon that it is found.
+    let plots = if matches!(kind, Kind::Planted(_)) { 7 } else { 10 };
+    let plot = seed % plots;
     if plot < 5 {
         plan.push((30, Deed::Drive(1, chance.u64(1200..2000))));
     }
@@ -185,6 +187,13 @@ fn plot(kind: Kind, chance: &mut Rng) -> (Vec<(u64, Deed)>, u64) {
             let over = 20 + 2 * lasts + pause + 4000;
             plan.push((over, Deed::Nothing));
             over
+        }
+        6 if kind.has_guard() => {
+            let (open, at) = (chance.u64(200..400), 400 + chance.u64(100..1200));
+            plan = vec![(0, Deed::Guard(false)), (open, drive(chance))];
+            plan.push((open + 10, Deed::Drive(1, chance.u64(1200..2000))));
+            plan.push((at, Deed::Guard(true)));
+            at + chance.u64(1500..3000)
         }
         _ => 20,
     };
@@ -388,7 +397,13 @@ impl Trials {
                     program.start();
                 }
             }
-            Deed::Reload => self.reload(seed),
+            Deed::Reload => self.world.configure(seed, self.world.is_guarded),
+            Deed::Guard(is_guarded) => {
+                if let Some((_, guard)) = self.holder.take() {
+                    let _ = guard.release().await;
+                }
+                self.world.configure(seed, *is_guarded);
+            }
             Deed::Nothing => {}
         }
     }
@@ -405,8 +420,13 @@ impl Trials {
 
     /// The owner sends a command, and waits for nothing.
     fn drive(&mut self, pause: u64, lasts: u64) {
-        let Some((who, guard)) = &self.holder else { return };
-        let (who, ways) = (*who, self.ways[*who]);
+        let (who, fence) = match &self.holder {
+            Some((who, guard)) => (*who, Some(guard.fence())),
+            // Anybody may.
+            None if !self.world.is_guarded => (0, None),
+            None => return,
+        };
+        let ways = self.ways[who];
         let (script, last) = self.world.kind.script(ways, pause, lasts);
         let owner = PEOPLE[who].to_owned();
         let notes = self.world.notes.clone();
@@ -416,12 +436,13 @@ impl Trials {
         notes.note(Seen::Command {
             owner: owner.clone(),
             ways,
+            fenced: fence.is_some(),
         });
-        let message = self.world.people[who]
-            .channel
-            .message("command")
-            .content(script)
-            .fence(guard.fence());
+        let message = self.world.people[who].channel.message("command").content(script);
+        let message = match fence {
+            Some(fence) => message.fence(fence),
+            None => message,
+        };
         tokio::spawn(async move {
             match message.send_acknowledged().await {
                 Err(ClientError::Refused(_)) => notes.note(Seen::Ended { owner }),
@@ -469,6 +490,10 @@ impl Trials {
     }
 
     async fn hand_over(&mut self, way: Way) {
+        // The token is of no use.
+        if !self.world.is_guarded {
+            return;
+        }
         let old = self.holder.take();
         let from = old.as_ref().map_or(OPERATOR, |(who, _)| *who);
         // Above the operator is nobody: she lets go.
@@ -511,18 +536,12 @@ impl Trials {
         }
     }
 
-    /// The hub reads its configuration again, which has changed where that matters to nobody.
-    fn reload(&self, seed: u64) {
-        let old = std::fs::read_to_string(&self.world.config).expect("a configuration");
-        let old = old.split("# reloaded").next().unwrap_or_default().to_owned();
-        let new = format!("{old}# reloaded\n[[contexts]]\npath = \"/reloaded-{seed}\"\nkind = \"channel\"\n");
-        std::fs::write(&self.world.config, new).expect("it is written");
-        self.world.programs[0].reload();
-    }
-
     /// Heals all, and stops the device until it says that it rests; why not, if it does not.
     async fn come_to_rest(&mut self) -> Option<String> {
         self.world.heal();
+        if !self.world.is_guarded {
+            self.world.configure(0, true);
+        }
         if let Some((_, guard)) = self.holder.take() {
             let _ = timeout(AT_MOST, guard.release()).await;
         }

@@ -7,7 +7,7 @@ use std::process::Stdio;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use mom_client::{Channel, Client, Event, Events, Token, Value};
+use mom_client::{Channel, Client, Event, Events, HUB, Token, Value};
 use mom_tests::datagrams::{Datagrams, Weather};
 use mom_tests::faulty::{Fault, FaultyNetwork};
 use mom_tests::programs::{PATIENCE, Running, project};
@@ -45,9 +45,8 @@ impl Kind {
             turns: Some(2),
             tolerance: vec![2.5, 2.5, 2.5],
             stopping: 1_000_000,
-            hold: Some(500_000),
-            robot_holds: true,
-            rests_first: Some(0),
+            hold: 500_000,
+            rests_first: Some(270_000),
         };
         match self {
             Self::Arm => Spec {
@@ -56,8 +55,7 @@ impl Kind {
                 turns: None,
                 tolerance: vec![0.5; 4],
                 stopping: 200_000,
-                hold: None,
-                robot_holds: true,
+                hold: 1_500_000,
                 rests_first: None,
             },
             Self::Mount => Spec {
@@ -66,9 +64,8 @@ impl Kind {
                 turns: None,
                 tolerance: vec![0.1; 2],
                 stopping: 200_000,
-                hold: None,
-                robot_holds: true,
-                rests_first: Some(200_000),
+                hold: 1_500_000,
+                rests_first: Some(270_000),
             },
             Self::Rover => Spec {
                 name: "rover",
@@ -83,7 +80,6 @@ impl Kind {
                 name: "cubo",
                 least: vec![0.15, 0.15, 0.3, 0.3, 0.3, 0.3],
                 tolerance: vec![2.5; 6],
-                robot_holds: false,
                 ..wheels
             },
             Self::Planted(_) => Spec {
@@ -92,9 +88,8 @@ impl Kind {
                 turns: Some(1),
                 tolerance: vec![2.0, 2.0],
                 stopping: 600_000,
-                hold: None,
-                robot_holds: true,
-                rests_first: Some(200_000),
+                hold: 0,
+                rests_first: Some(270_000),
             },
         }
     }
@@ -105,6 +100,11 @@ impl Kind {
             Self::Rover | Self::Planted(_) => "convoy.toml",
             Self::Linuxbot | Self::Cubo => "fleet.toml",
         }
+    }
+
+    /// Whether its guard is in the configuration, and not made by its gateway.
+    pub(super) fn has_guard(self) -> bool {
+        !matches!(self, Self::Linuxbot | Self::Cubo)
     }
 
     pub(super) fn channel_path(self) -> &'static str {
@@ -147,7 +147,12 @@ impl Kind {
             Self::Mount => (format!("wait {pause}; look {sign}170 -20"), None),
             _ => {
                 let drive = format!("motor {sign}300 {sign}300 {lasts}");
-                (format!("{drive}; wait {pause}; {drive}"), timed)
+                // Its arms swing meanwhile.
+                let between = match self {
+                    Self::Cubo if pause == 200 => format!("do gesture {}", lasts % 8),
+                    _ => format!("wait {pause}"),
+                };
+                (format!("{drive}; {between}; {drive}"), timed)
             }
         }
     }
@@ -261,7 +266,9 @@ pub(super) struct World {
     pub(super) wire: Option<FaultyNetwork>,
     pub(super) datagrams: Option<Datagrams>,
     pub(super) reading: Reading,
-    pub(super) config: PathBuf,
+    config: PathBuf,
+    /// Whether a token guards the channel, as its configuration says.
+    pub(super) is_guarded: bool,
     pub(super) folder: TempDir,
     _planted: Option<Planted>,
     _watching: JoinHandle<()>,
@@ -323,6 +330,7 @@ impl World {
             datagrams,
             reading: Reading::of(trace),
             config,
+            is_guarded: true,
             folder,
             _planted: planted,
             _watching: watching,
@@ -331,6 +339,20 @@ impl World {
 
     pub(super) fn operator(&self) -> &Person {
         &self.people[OPERATOR]
+    }
+
+    /// The hub reads its configuration again, which has changed where that matters to nobody, and by whether the channel is guarded.
+    pub(super) fn configure(&mut self, number: u64, is_guarded: bool) {
+        let old = fs::read_to_string(project().join("config").join(self.kind.config()));
+        let mut new = old.expect("a configuration");
+        if !is_guarded {
+            let guard = format!("guard = {{ token = \"{}\", ", self.kind.token());
+            new = new.replace(&guard, &format!("# {guard}"));
+        }
+        new += &format!("[[contexts]]\npath = \"/reloaded-{number}\"\nkind = \"channel\"\n");
+        fs::write(&self.config, new).expect("it is written");
+        self.is_guarded = is_guarded;
+        self.programs[0].reload();
     }
 
     /// All networks as they should be, and all programs running.
@@ -496,6 +518,15 @@ async fn watch(mut events: Events, kind: Kind, notes: Notes, lasts: Arc<Mutex<Ve
     while let Some(event) = events.next().await {
         match event {
             Event::Message(parcel) if parcel.name() == "state" => notes.note(state(kind, &parcel.value())),
+            Event::Message(parcel) if parcel.name() == "halt" && parcel.sender.as_deref() == Some(HUB) => {
+                let content = parcel.value();
+                if content
+                    .get("guard")
+                    .is_some_and(|guard| guard.get("token").is_some())
+                {
+                    notes.note(Seen::Guarded);
+                }
+            }
             Event::Message(parcel) if parcel.name() == "status" => {
                 if let Some(seen) = status(&parcel.value(), &lasts) {
                     notes.note(seen);

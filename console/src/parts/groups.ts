@@ -1,6 +1,6 @@
 // Stops as a person reads them: who stopped what, since when and why.
-import { stop as t } from "../../texts/control.js";
-import type { StandingStop } from "../../worker/protocol.js";
+import { stop as t } from "../texts/control.js";
+import type { StandingStop } from "../worker/protocol.js";
 
 /** Stops that one has said for one reason. */
 export interface Group {
