@@ -30,6 +30,8 @@ pub(super) struct Spec {
     pub(super) stopping: Micros,
     /// How long what moves it goes on by itself when a program stands still, from when that had its last turn.
     pub(super) hold: Micros,
+    /// Whether it also swings, to and fro by one call.
+    pub(super) swings: bool,
     /// How long it has stayed within its tolerance before a new owner's first motion; none: that is not judged.
     pub(super) rests_first: Option<Micros>,
 }
@@ -234,14 +236,16 @@ impl Body<'_> {
                 continue;
             }
             known = Some(*stop);
-            if let Some(motion) = self.begins(at + self.slack, free) {
+            let most = at + self.spec.stopping;
+            let hold = self.hold(at - GONE, most);
+            // A gesture that nobody could end yet is one motion, to and fro.
+            let swings = if self.spec.swings { hold } else { 0 };
+            if let Some(motion) = self.begins(at + swings + self.slack, free) {
                 let late = (motion.since - at) / 1000;
                 let words = format!("a motion begins {late} ms after the device said that stop {stop} holds");
                 self.add(found, Rule::BeginsAfterStopped, motion.since, words);
             }
-            let most = at + self.spec.stopping;
-            let bound = most + self.hold(at - GONE, most) + self.slack;
-            if let Some(moves) = self.moves(bound, free) {
+            if let Some(moves) = self.moves(most + hold + self.slack, free) {
                 let late = (moves - at) / 1000;
                 let words = format!("it moves {late} ms after the device said that stop {stop} holds");
                 self.add(found, Rule::RollsOnAfterStopped, moves, words);

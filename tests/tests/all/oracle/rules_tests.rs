@@ -13,6 +13,7 @@ fn spec() -> Spec {
         tolerance: vec![2.0, 2.0],
         stopping: 200 * MS,
         hold: 500 * MS,
+        swings: false,
         rests_first: Some(270 * MS),
     }
 }

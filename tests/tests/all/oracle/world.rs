@@ -46,6 +46,7 @@ impl Kind {
             tolerance: vec![2.5, 2.5, 2.5],
             stopping: 1_000_000,
             hold: 500_000,
+            swings: false,
             rests_first: Some(270_000),
         };
         match self {
@@ -56,6 +57,7 @@ impl Kind {
                 tolerance: vec![0.5; 4],
                 stopping: 200_000,
                 hold: 1_500_000,
+                swings: false,
                 rests_first: None,
             },
             Self::Mount => Spec {
@@ -65,6 +67,7 @@ impl Kind {
                 tolerance: vec![0.1; 2],
                 stopping: 200_000,
                 hold: 1_500_000,
+                swings: false,
                 rests_first: Some(270_000),
             },
             Self::Rover => Spec {
@@ -80,6 +83,7 @@ impl Kind {
                 name: "cubo",
                 least: vec![0.15, 0.15, 0.3, 0.3, 0.3, 0.3],
                 tolerance: vec![2.5; 6],
+                swings: true,
                 ..wheels
             },
             Self::Planted(_) => Spec {
@@ -89,6 +93,7 @@ impl Kind {
                 tolerance: vec![2.0, 2.0],
                 stopping: 600_000,
                 hold: 0,
+                swings: false,
                 rests_first: Some(270_000),
             },
         }
