@@ -5,6 +5,7 @@
 
 mod body;
 mod log;
+mod plan;
 mod planted;
 mod rules;
 mod rules_tests;
@@ -22,9 +23,9 @@ use world::Kind;
 /// Trials of each device in a normal run.
 const TRIALS: u64 = 20;
 /// Worlds of each device at once.
-const SIDE_BY_SIDE: u64 = 2;
-/// Trials that are judged, within which each fault has to be found.
-const FOUND_WITHIN: u64 = 15;
+const SIDE_BY_SIDE: u64 = 4;
+/// Trials that are judged in each of two worlds, within which each fault has to be found: one of each plot.
+const FOUND_WITHIN: u64 = 7;
 
 fn asked(name: &str) -> Option<u64> {
     std::env::var(name).ok().and_then(|text| text.parse().ok())
@@ -36,8 +37,8 @@ struct Count {
     trials: u64,
     /// Those that are not judged, and why.
     unjudged: Vec<String>,
-    /// What happened: motions, stops, grants, what was hindered.
-    happened: [usize; 4],
+    /// What happened: motions, stops, grants, guards, what was hindered.
+    happened: [usize; 5],
     stories: Vec<String>,
     rules: BTreeMap<String, u64>,
 }
@@ -54,6 +55,7 @@ impl Count {
             rules::count(&outcome.log, &kind.spec()),
             seen(|seen| matches!(seen, Seen::Stop { .. })),
             seen(|seen| matches!(seen, Seen::Grant { .. })),
+            seen(|seen| *seen == Seen::Guarded),
             seen(|seen| matches!(seen, Seen::Hinder { begins: true, .. })),
         ];
         self.happen(happened);
@@ -67,7 +69,7 @@ impl Count {
 }
 
 impl Count {
-    fn happen(&mut self, happened: [usize; 4]) {
+    fn happen(&mut self, happened: [usize; 5]) {
         for (sum, more) in self.happened.iter_mut().zip(happened) {
             *sum += more;
         }
@@ -116,7 +118,7 @@ async fn no_body_moves_that_may_not() {
     }
     for (name, count) in &all {
         eprintln!(
-            "{name}: {} trials, not judged {:?}; {:?} motions, stops, grants, hindrances; {} with violations {:?}",
+            "{name}: {} trials, not judged {:?}; {:?} motions, stops, grants, guards, hindrances; {} with violations {:?}",
             count.trials,
             count.unjudged,
             count.happened,
@@ -138,7 +140,7 @@ async fn no_body_moves_that_may_not() {
     );
 }
 
-/// In which trial the fault is found, by the rule that it breaks; of a device without one, any that it is said to have.
+/// In which trial of a world the fault is found, by the rule that it breaks; of a device without one, any that it is said to have.
 async fn finds(plant: Plant, first: u64) -> Option<(u64, String)> {
     let kind = Kind::Planted(plant);
     let mut world = Trials::of(kind, first).await;
@@ -169,23 +171,20 @@ async fn finds(plant: Plant, first: u64) -> Option<(u64, String)> {
 async fn each_planted_fault_is_found_and_nothing_where_none_is() {
     let first = asked("MOM_ORACLE_SEED").unwrap_or(1);
     let mut worlds = JoinSet::new();
-    for plant in Plant::FAULTS.into_iter().chain([Plant::Nothing]) {
-        worlds.spawn(async move { (plant, finds(plant, first).await) });
-    }
-    let mut missed = Vec::new();
-    while let Some(ended) = worlds.join_next().await {
-        let (plant, found) = ended.expect("a world");
-        eprintln!(
-            "{plant:?}: {}",
-            found
-                .as_ref()
-                .map_or("not found".to_owned(), |(trials, what)| format!(
-                    "in trial {trials}: {what}"
-                ))
-        );
-        if found.is_some() == (plant == Plant::Nothing) {
-            missed.push(plant);
+    let plants = || Plant::FAULTS.into_iter().chain([Plant::Nothing]);
+    for plant in plants() {
+        for first in [first, first + FOUND_WITHIN] {
+            worlds.spawn(async move { (plant, finds(plant, first).await) });
         }
     }
-    assert!(missed.is_empty(), "{missed:?}");
+    let mut found = Vec::new();
+    while let Some(ended) = worlds.join_next().await {
+        if let (plant, Some((trials, what))) = ended.expect("a world") {
+            eprintln!("{plant:?}: in trial {trials}: {what}");
+            found.push(plant);
+        }
+    }
+    let wrong = plants().filter(|plant| found.contains(plant) == (*plant == Plant::Nothing));
+    let wrong: Vec<Plant> = wrong.collect();
+    assert!(wrong.is_empty(), "{wrong:?}");
 }

@@ -4,6 +4,7 @@ use std::fs;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
+use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -290,10 +291,11 @@ impl World {
         let mut hub = Program::new(
             folder.path(),
             "mom-broker",
-            &["--config", text(&config), "--listen", "127.0.0.1:0"],
+            &["--config", text(&config), "--listen", &place()],
             "",
         );
         let address: SocketAddr = hub.start().listening().parse().expect("an address");
+        hub.args[3] = address.to_string();
         let slow = move |number: u64| Fault {
             delay: Duration::from_millis([0, 0, 5, 20][fastrand::Rng::with_seed(seed ^ number).usize(..4)]),
             ..Fault::default()
@@ -432,7 +434,7 @@ impl Surroundings<'_> {
             "--only",
             "13",
             "--listen",
-            "127.0.0.1:0",
+            &place(),
             "--trace",
             text(self.trace),
         ];
@@ -459,7 +461,7 @@ impl Surroundings<'_> {
     }
 
     async fn cubo(&mut self) -> Vec<Program> {
-        let args = ["--listen", "127.0.0.1:0", "--trace", text(self.trace)];
+        let args = ["--listen", &place(), "--trace", text(self.trace)];
         let mut robot = Program::new(self.folder, "mom-cubo", &args, "");
         let line = robot.start().line_with("listens on");
         let address = line.rsplit(' ').next().and_then(|word| word.parse().ok());
@@ -483,6 +485,12 @@ impl Surroundings<'_> {
         self.datagrams = Some(datagrams);
         vec![middle, robot]
     }
+}
+
+/// Where a program listens: an address of its own, so that nobody takes its port while it is dead.
+fn place() -> String {
+    static NUMBER: AtomicU8 = AtomicU8::new(1);
+    format!("127.66.1.{}:0", NUMBER.fetch_add(1, Ordering::Relaxed).max(1))
 }
 
 fn text(path: &Path) -> &str {
