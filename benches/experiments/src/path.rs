@@ -7,7 +7,8 @@ use fastrand::Rng;
 use mom_arm::blocks::Block;
 use mom_arm::controller::{Controller, Instruction, Progress, Simulated};
 use mom_arm::motion::{Leg, MAX_OPENING, Posture};
-use mom_arm::{ErrorName, Pose, path, reach};
+use mom_arm::{Pose, path, reach};
+use mom_device::ErrorName;
 use mom_plots::{Axis, Plot, Series, quantiles};
 
 use super::hand::{clearance, clearance_along};

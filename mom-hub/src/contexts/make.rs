@@ -108,6 +108,7 @@ impl World {
             // Of the configuration, which nobody made and nobody deletes.
             permanent: creator.is_none(),
             permanent_below: 0,
+            lifted: None,
             role,
         });
         self.link_guards(number);
@@ -324,6 +325,7 @@ pub(crate) fn make_root(number: ContextNumber, manager: Box<dyn Manager>, word: 
         transient: false,
         permanent: true,
         permanent_below: 0,
+        lifted: None,
         role: Role::Session,
     }
 }

@@ -8,7 +8,7 @@ use mom_managers::{Answer, Denial, PeerFacts, Rate};
 use mom_proto::nearest::nearest;
 use mom_proto::{Code, Family, Fence, HISTORY, Micros, Parcel, Time, WireError, event};
 
-use super::age::{age_of, aged, check_age, check_life, is_ahead, is_within};
+use super::age::{Aged, age_of, aged, check_age, check_life, is_ahead, is_before, is_within};
 use super::route::{Guard, GuardOwner, Route};
 use crate::{Member, PeerClock, PeerId};
 
@@ -122,6 +122,7 @@ pub struct Alike {
     wall: Time,
     clock: Option<PeerClock>,
     max_age: Option<Micros>,
+    lifted: Option<Time>,
 }
 
 impl Alike {
@@ -134,6 +135,7 @@ impl Alike {
             wall: ingress.wall,
             clock: ingress.clock,
             max_age: standing.and_then(|standing| standing.max_age),
+            lifted: route.lifted_before(name),
         }
     }
 
@@ -145,7 +147,10 @@ impl Alike {
         };
         let age = aged(timestamp, self.wall, &clock);
         let young = self.max_age.is_none_or(|most| is_within(Some(age), most));
-        (young && !is_ahead(age, &clock)).then_some(age.0)
+        let late = self
+            .lifted
+            .is_some_and(|lifted| is_before(age, lifted, self.wall));
+        (young && !late && !is_ahead(age, &clock)).then_some(age.0)
     }
 }
 
@@ -182,6 +187,7 @@ pub fn admit_with(
     if age.is_none() && ingress.waited > 0 {
         check_life(parcel, ingress.waited)?;
     }
+    check_lifted(route, parcel, age, wall)?;
     let receivers = receivers(route, peer, parcel)?;
     // The hub's own mark.
     parcel.extra.remove(HISTORY);
@@ -221,6 +227,20 @@ fn sender(route: &Route, peer: PeerId) -> Result<&Member, WireError> {
 }
 
 /// Checks the guard; gives the fence to stamp.
+/// Checks that what moves a device was not said before a stop was lifted: who said it did not see what has become of the device since. It may
+/// come so late where an uplink stood still and was not lost.
+fn check_lifted(route: &Route, parcel: &Parcel, age: Option<Aged>, wall: Time) -> Result<(), WireError> {
+    let late = route
+        .lifted_before(&parcel.name)
+        .zip(age)
+        .is_some_and(|(lifted, age)| is_before(age, lifted, wall));
+    if !late {
+        return Ok(());
+    }
+    let text = "a stop was lifted after this was said; look how the device stands, and say it again";
+    Err(WireError::new(Code::TOO_LATE, text))
+}
+
 fn check_guard(
     route: &Route,
     member: &Member,

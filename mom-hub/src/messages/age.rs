@@ -60,6 +60,12 @@ pub(crate) fn check_age(
     Ok(age)
 }
 
+/// Whether a message of this age was said before this moment, for certain.
+pub(crate) fn is_before((age, error): Aged, moment: Time, wall: Time) -> bool {
+    let since = i128::from(wall.micros()) - i128::from(moment.micros());
+    i128::from(age) - i128::from(error) > since
+}
+
 /// Checks that a message of this age in µs has not expired.
 ///
 /// # Errors

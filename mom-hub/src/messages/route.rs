@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use mom_proto::{ContextNumber, Delivery, Family, Micros, Overflow, Path, Verb};
+use mom_proto::{ContextNumber, Delivery, Family, Micros, Overflow, Path, Time, Verb, event};
 
 use crate::{Keep, Member, PeerId};
 
@@ -25,6 +25,8 @@ pub struct Route {
     pub keep: Option<Keep>,
     /// Somebody waits for the word of its devices, which comes to the hub then.
     pub awaited: bool,
+    /// When a stop was lifted here last, by the hub's time.
+    pub lifted: Option<Time>,
 }
 
 /// The guard of a channel: its listed messages need ownership of a token.
@@ -61,6 +63,12 @@ pub struct GuardOwner {
 }
 
 impl Route {
+    /// When a stop was lifted, if messages of this name that were said before must not follow: they move a device.
+    pub(crate) fn lifted_before(&self, name: &str) -> Option<Time> {
+        let guarded = || self.guard.as_ref().is_some_and(|guard| guard.covers(name));
+        self.lifted.filter(|_| name == event::COMMAND || guarded())
+    }
+
     /// The member of this connection.
     pub fn member(&self, peer: PeerId) -> Option<&Arc<Member>> {
         self.position(peer).map(|position| &self.members[position])

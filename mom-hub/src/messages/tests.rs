@@ -79,6 +79,7 @@ fn route() -> Route {
         overflow: Overflow::default(),
         keep: None,
         awaited: false,
+        lifted: None,
     }
 }
 
@@ -462,4 +463,44 @@ fn a_denial_says_when_to_ask_again() {
         refusal(&denial(Some(3_000)), &facts("bob", 1), 1_000),
         said.retry_after(Duration::from_millis(2))
     );
+}
+
+#[test]
+fn what_moves_a_device_does_not_follow_a_lift_that_it_was_said_before() {
+    let mut route = route();
+    route.lifted = Time::from_micros(9_000);
+    let clock = PeerClock {
+        offset: ClockOffset {
+            micros: 0,
+            error: 100,
+        },
+        future: 0,
+    };
+    let ingress = |clock| Ingress {
+        wall: Time::from_micros(10_000).expect("a time"),
+        clock,
+        ..ingress(1_000_000)
+    };
+    let late = |name: &str, old: i64, clock| {
+        let mut parcel = message(name);
+        parcel.fence = Some(FENCE);
+        parcel.timestamp = Time::from_micros(10_000 - old);
+        let allow = allowed();
+        let admitted = admit_with(&route, ALICE, &allow, &mut parcel, &ingress(clock));
+        admitted.err().map(|error| error.code)
+    };
+    for name in ["command", "jog"] {
+        assert_eq!(
+            late(name, 1_100, Some(clock)),
+            None,
+            "it may have been said after"
+        );
+        assert_eq!(late(name, 1_101, Some(clock)), Some(Code::TOO_LATE));
+        assert_eq!(late(name, 1_101, None), None, "its age is not known");
+    }
+    assert_eq!(late("say", 5_000, Some(clock)), None, "it moves nothing");
+    let alike = |name| Alike::new(&route, ALICE, name, &ingress(Some(clock)));
+    assert_eq!(alike("jog").age(Time::from_micros(8_900)), Some(1_100));
+    assert_eq!(alike("jog").age(Time::from_micros(8_899)), None);
+    assert_eq!(alike("say").age(Time::from_micros(1_000)), Some(9_000));
 }

@@ -142,6 +142,7 @@ fn lift(
     let told = latch.describe();
     let receivers = without(&route, all, &newer);
     let (path, heard) = (route.path.clone(), receivers.peers(&route));
+    world.note_lifted(unstop.channel);
     out.push(Effect::Send {
         from: unstop.peer,
         parcel: Box::new(unstop.parcel.clone()),

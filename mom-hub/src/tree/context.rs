@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use mom_managers::Manager;
-use mom_proto::{ContextKind, ContextNumber, Delivery, Fence, Map, Micros, Overflow, Path, Value};
+use mom_proto::{ContextKind, ContextNumber, Delivery, Fence, Map, Micros, Overflow, Path, Time, Value};
 use serde::Deserialize;
 
 use super::keep::Keep;
@@ -59,6 +59,8 @@ pub(crate) struct Context {
     pub(crate) permanent: bool,
     /// How many of those there are below it.
     pub(crate) permanent_below: usize,
+    /// When a stop was lifted here last: what moves a device and was said before does not follow.
+    pub(crate) lifted: Option<Time>,
     pub(crate) role: Role,
 }
 

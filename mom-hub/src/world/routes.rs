@@ -22,7 +22,17 @@ impl World {
             overflow: channel.overflow,
             keep: channel.keep,
             awaited: self.stops.is_awaited(number),
+            lifted: context.lifted,
         })
+    }
+
+    /// Notes that a stop is lifted in a channel now.
+    pub(crate) fn note_lifted(&mut self, number: ContextNumber) {
+        let now = self.wall();
+        if let Some(context) = self.tree.get_mut(number) {
+            context.lifted = Some(now);
+            self.changed.insert(number);
+        }
     }
 
     fn guard(&self, spec: &GuardSpec) -> Guard {

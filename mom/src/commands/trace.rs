@@ -2,8 +2,9 @@
 
 use std::time::Duration;
 
-use mom_arm::{CommandState, ErrorName, Status};
+use mom_arm::{CommandState, Status};
 use mom_client::{Client, Event, Events, Family, HubClock, Parcel, Time, Value, from_value};
+use mom_device::ErrorName;
 use serde_json::json;
 use tokio::time::{Instant, timeout_at};
 

@@ -9,10 +9,10 @@
 //! down, or caught, ends the motion with a `torque-overload`.
 
 use crate::blocks::{Blocks, meeting_point};
-use crate::error::{ArmError, ErrorName};
 use crate::motion::Posture;
 use crate::pose::{Xyz, along};
 use crate::upright_box::{GIVE, UprightBox, Xy, level_dot};
+use mom_device::{DeviceError, ErrorName};
 
 /// mm from the fingertips back to the palm.
 pub const FINGER_LENGTH: f64 = 60.0;
@@ -64,13 +64,13 @@ pub(crate) enum Way {
 
 impl Touch {
     /// What the controller reports.
-    pub(crate) fn overload(&self, blocks: &Blocks) -> ArmError {
+    pub(crate) fn overload(&self, blocks: &Blocks) -> DeviceError {
         let body = match self.body {
             Body::Table => "the table".to_owned(),
             Body::Block(index) => format!("block {}", blocks.all()[index].name),
         };
         let text = format!("the motors are overloaded: {} met {body}", self.part);
-        ArmError::new(ErrorName::TorqueOverload, text)
+        DeviceError::new(ErrorName::TorqueOverload, text)
     }
 }
 

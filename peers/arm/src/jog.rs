@@ -3,11 +3,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{ArmError, ErrorName};
 use crate::motion::{ArmTime, SPEED, TURN_SPEED};
 use crate::pose::Pose;
 use crate::reach;
 use crate::workspace::WORKSPACE;
+use mom_device::{DeviceError, ErrorName};
 
 /// ms for which a velocity holds that does not say.
 pub const DEFAULT_MS: u32 = 200;
@@ -67,7 +67,7 @@ impl Velocity {
     /// # Errors
     ///
     /// [`ErrorName::Syntax`] with the speed and the largest one.
-    pub(crate) fn check(&self) -> Result<(), ArmError> {
+    pub(crate) fn check(&self) -> Result<(), DeviceError> {
         let turn = self.spin.abs().max(self.tilt.abs());
         let text = match (self.linear() > SPEED, turn > TURN_SPEED) {
             (true, _) => format!(
@@ -77,7 +77,7 @@ impl Velocity {
             (_, true) => format!("{turn:.0} degrees/s is too fast, the hand turns at {TURN_SPEED} at most"),
             _ => return Ok(()),
         };
-        Err(ArmError::new(ErrorName::Syntax, text))
+        Err(DeviceError::new(ErrorName::Syntax, text))
     }
 
     fn is_zero(&self) -> bool {
@@ -160,11 +160,6 @@ impl Jog {
             speed: before.map(|jog| jog.speed).unwrap_or_default(),
             until,
         }
-    }
-
-    /// Comes to rest from now on.
-    pub(crate) fn end(&mut self, now: ArmTime) {
-        self.until = self.until.min(now);
     }
 
     /// Where the hand is a [`TICK`] later; none when it is at rest and the time is over.

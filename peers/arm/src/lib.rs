@@ -10,12 +10,13 @@
 //! 2. [`path`] turns each `move` into straight legs by the path rule (M52), and [`workspace`] (M50)
 //!    and [`reach`] (the joints of an ABB IRB 1400, M49) check every leg of the whole script before anything moves;
 //!    [`rapid`] is what a real controller would be told (M51);
-//! 3. [`arm`] queues the command, and gives its [`controller`] one instruction after the other;
+//! 3. the queue of `mom-device`, which every device has, begins its statements one after the other, and [`machine`] gives the [`controller`] one
+//!    instruction after the other; [`arm`] is both without a hub;
 //! 4. the controller carries them out: a real one, or the simulated one, for which [`motion`] gives the hand's posture at a time (150 mm/s, M49),
 //!    [`contact`] what it meets, and [`blocks`] how blocks are pushed, taken, fall and topple.
 //!
-//! [`RobotServer`] decides how the arm reacts to the parcels and events of its channel; [`peer::run`] connects it to
-//! the hub, in a program of its own (`mom-arm`) or in another one.
+//! `mom-device`'s server decides how the arm reacts to the parcels and events of its channel, as for every device; [`peer::run`] connects
+//! it to the hub, in a program of its own (`mom-arm`) or in another one, and keeps it out of closed [`zones`].
 //!
 //! Lengths are millimetres and angles degrees everywhere, in the table's frame: the origin is the
 //! middle of the table's surface and z points up. Times are int microseconds.
@@ -36,15 +37,17 @@
 //!     ArmEvent::Command { id: 1, state: CommandState::Finished, .. }
 //! )));
 //! assert_eq!(arm.state().pose.x, 100.0);
-//! # Ok::<(), mom_arm::ArmError>(())
+//! # Ok::<(), mom_device::DeviceError>(())
 //! ```
 
 pub mod arm;
 pub mod blocks;
 pub mod contact;
 pub mod controller;
-pub mod error;
+#[cfg(test)]
+mod dialogues;
 pub mod jog;
+pub mod machine;
 pub mod motion;
 pub mod path;
 pub mod peer;
@@ -52,7 +55,6 @@ pub mod pose;
 pub mod rapid;
 pub mod reach;
 pub mod script;
-pub mod server;
 pub mod state;
 pub mod status;
 mod upright_box;
@@ -62,13 +64,12 @@ pub mod zones;
 
 pub use arm::Arm;
 pub use blocks::Block;
-pub use error::{ArmError, ErrorName};
 pub use jog::Velocity;
+pub use machine::ArmMachine;
 pub use motion::ArmTime;
 pub use peer::ArmOptions;
 pub use pose::Pose;
-pub use script::{Grip, Script, Statement};
-pub use server::RobotServer;
+pub use script::{Action, Grip, Script, Statement};
 pub use state::{ArmEvent, ArmState, CommandState, Executing, Gripper, ScriptProgress};
 pub use status::Status;
 pub use zones::{Mount, Zones};

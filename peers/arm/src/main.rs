@@ -7,7 +7,7 @@ use std::time::Duration;
 use anyhow::Context;
 use clap::Parser;
 use mom_arm::controller::{Controller, LinkFault, Traced};
-use mom_arm::{Arm, ArmOptions, Mount, peer};
+use mom_arm::{ArmMachine, ArmOptions, Mount, peer};
 use mom_program::{HubArgs, begin, shutdown};
 use mom_trace::Trace;
 
@@ -105,7 +105,7 @@ async fn main() -> anyhow::Result<()> {
         }
         None => Box::new(options.controller()),
     };
-    peer::run_arm(client, options, Arm::with_controller(0, controller), shutdown)
+    peer::run_arm(client, options, ArmMachine::new(controller), shutdown)
         .await
         .context("the arm ended")
 }

@@ -8,10 +8,10 @@
 //! away from what stands on the table, and comes down already turned. Where there is no way to go
 //! on the level, it turns on the spot, at the upper height as well.
 
-use crate::error::ArmError;
 use crate::pose::Pose;
 use crate::reach;
 use crate::workspace::WORKSPACE;
+use mom_device::DeviceError;
 
 /// The ends of the straight legs from one pose to another, in order: none if there is nothing to
 /// move, at most two.
@@ -53,13 +53,13 @@ pub fn legs(from: &Pose, to: &Pose) -> Vec<Pose> {
 /// nearest pose that can be reached.
 ///
 /// [`Workspace::check`]: crate::workspace::Workspace::check
-pub fn check(from: &Pose, to: &Pose) -> Result<(), ArmError> {
+pub fn check(from: &Pose, to: &Pose) -> Result<(), DeviceError> {
     WORKSPACE.check(to).map_err(|error| {
         let nearest = WORKSPACE.nearest(to);
         match check_legs(from, &nearest) {
             Ok(()) => error.with_reachable(nearest),
             Err(joints) => match joints.reachable() {
-                Some(nearest) => error.with_reachable(*nearest),
+                Some(nearest) => error.with_reachable(nearest.clone()),
                 None => error,
             },
         }
@@ -67,7 +67,7 @@ pub fn check(from: &Pose, to: &Pose) -> Result<(), ArmError> {
     check_legs(from, to)
 }
 
-fn check_legs(from: &Pose, to: &Pose) -> Result<(), ArmError> {
+fn check_legs(from: &Pose, to: &Pose) -> Result<(), DeviceError> {
     let mut at = *from;
     for end in legs(from, to) {
         reach::check_leg(&at, &end)?;
@@ -79,7 +79,8 @@ fn check_legs(from: &Pose, to: &Pose) -> Result<(), ArmError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::error::ErrorName;
+    use mom_client::{Value, from_value};
+    use mom_device::ErrorName;
     use proptest::prelude::*;
 
     fn pose() -> impl Strategy<Value = Pose> {
@@ -175,12 +176,12 @@ mod tests {
         ] {
             let error = check(&home, &to).unwrap_err();
             assert_eq!(error.name(), ErrorName::WorkspaceBoundary);
-            assert_eq!(error.reachable(), want.as_ref(), "{error}");
+            assert_eq!(error.reachable().cloned(), want.map(Value::from), "{error}");
         }
         // Outside, and at its edge out of the joints' reach; inside, and out of their reach.
         for x in [310.0, 300.0] {
             let error = check(&home, &Pose::new(x, 0.0, 450.0, 90.0, 45.0)).unwrap_err();
-            let reachable = *error.reachable().unwrap();
+            let reachable: Pose = from_value(error.reachable().unwrap().clone()).unwrap();
             assert_eq!(check(&home, &reachable), Ok(()), "{error}");
             assert!(home.distance(&reachable) > 200.0, "{error}");
         }

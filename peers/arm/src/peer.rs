@@ -1,23 +1,18 @@
-//! The arm as a peer: joins its channel and connects it to the [`RobotServer`].
+//! The arm as a peer: joins its channel, obeys what it hears there, and keeps out of the zones that are closed to it.
 
 use std::future::{Future, pending};
 use std::pin::pin;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
-use mom_client::{Client, ClientError, Code, Consult, Event, FenceGate, LinkState, Parcel, Time, WireError};
-use mom_device::{Outlet, sender};
-use tokio::time::{Instant, sleep_until, timeout};
+use mom_client::{Client, ClientError, Code, Consult, Event, LinkState, WireError};
+use mom_device::{DevicePeer, Happening};
+use tokio::time::Instant;
 
-use crate::arm::Arm;
 use crate::blocks::Block;
 use crate::controller::{LinkFault, Simulated};
-use crate::motion::ArmTime;
-use crate::server::RobotServer;
+use crate::machine::ArmMachine;
 use crate::zone_watch::{ZoneEvent, ZoneWatch};
-use crate::zones::{Mount, Zones};
-
-/// How long the last statuses may take to leave when the program ends.
-const FAREWELL: Duration = Duration::from_secs(1);
+use crate::zones::{Mount, ZoneKeeper, Zones};
 
 /// The channel of the arm.
 #[derive(Debug, Clone, PartialEq)]
@@ -85,7 +80,7 @@ pub async fn run(
     options: ArmOptions,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), ClientError> {
-    let arm = Arm::with_controller(0, Box::new(options.controller()));
+    let arm = ArmMachine::new(Box::new(options.controller()));
     run_arm(client, options, arm, shutdown).await
 }
 
@@ -97,79 +92,88 @@ pub async fn run(
 pub async fn run_arm(
     client: Client,
     options: ArmOptions,
-    arm: Arm,
+    arm: ArmMachine,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), ClientError> {
     let channel = client.channel_as_device(&options.channel).await?;
-    let (mut events, gate) = (channel.events(), channel.gate());
     let mut zones = match &options.zones {
         Some(session) => Some(ZoneWatch::join(&client, session).await?),
         None => None,
     };
-    let clock = ArmClock::start(options.pace);
-    let mut server = RobotServer::new(arm, channel.path().clone()).starting_at(time_of_day());
-    server.set_name(client.name());
+    let mut keeper = zones
+        .is_some()
+        .then(|| ZoneKeeper::new(Zones::new(options.mount)));
+    let mut peer =
+        DevicePeer::start(&client, &channel, arm, Instant::now()).at_pace(options.pace.clamp(1, 100));
     if let Some(max_age) = options.max_age {
-        server = server.with_max_age(max_age);
+        peer = peer.with_max_age(max_age);
     }
-    server = server.at_pace(options.pace.clamp(1, 100));
-    let mut outlet = Outlet::new(sender(&client));
-    let mut out = Vec::new();
-    if zones.is_some() {
-        server = server.in_zones(Zones::new(options.mount));
-        server.learn_commander(&gate, 0, &mut out);
+    if let Some(keeper) = &mut keeper {
+        keeper.learn(peer.gate());
+        close(&mut peer, keeper);
     }
     let mut shutdown = pin!(shutdown);
-    server.report(&mut out);
     tracing::info!(peer = client.name(), channel = %channel.path(), "the arm is ready");
     // Whatever ends it, the arm is halted.
     let result = loop {
-        outlet.push(&mut out);
-        let wake = server.next_wake().map(|due| clock.at(due));
         tokio::select! {
             () = &mut shutdown => break Ok(()),
             event = zone_event(&mut zones) => {
                 let Some(event) = event else { break Err(ended(&client)) };
-                handle_zone(&mut server, &event, &gate, clock.now(), &mut out);
+                hear_zone(&mut peer, keeper.as_mut(), &event);
             }
-            event = events.next() => match event {
-                Some(event) => {
-                    // What the hub told of zones before is heard first: who grabs a zone may use it at once.
-                    let mut are_gone = false;
-                    while let (false, Some(event)) = (are_gone, ready(zone_event(&mut zones)).await) {
-                        match event {
-                            Some(event) => handle_zone(&mut server, &event, &gate, clock.now(), &mut out),
-                            None => are_gone = true,
-                        }
-                    }
-                    if are_gone {
-                        break Err(ended(&client));
-                    }
-                    log(&event);
-                    let age = match &event {
-                        Event::Message(parcel) => client.clock().age(parcel),
-                        _ => None,
-                    };
-                    server.handle(&event, &gate, age, clock.now(), &mut out);
-                    match event {
-                        Event::LinkDown => outlet.set_down(true),
-                        Event::Rejoined | Event::Resumed => outlet.set_down(false),
-                        _ => {}
-                    }
+            happening = peer.wait() => {
+                let Some(happening) = happening else { break Err(ended(&client)) };
+                if matches!(happening, Happening::Event(_)) && !hear_zones(&mut peer, keeper.as_mut(), &mut zones).await {
+                    break Err(ended(&client));
                 }
-                None => break Err(ended(&client)),
+                hear(&mut peer, keeper.as_mut(), &happening);
             },
-            () = sleep_or_wait(wake) => server.advance(clock.now(), &mut out),
-            () = outlet.work() => {}
         }
     };
-    server.halt("its program ends", clock.now(), &mut out);
-    outlet.push(&mut out);
-    if timeout(FAREWELL, outlet.flush()).await.is_err() {
-        tracing::warn!("the last messages did not leave in time");
-    }
+    peer.end("its program ends").await;
     client.close().await;
     result
+}
+
+/// Takes in what has happened. Who commands is known before his command, and who does no more after the end of what he had begun.
+fn hear(peer: &mut DevicePeer<ArmMachine>, keeper: Option<&mut ZoneKeeper>, happening: &Happening) {
+    let Happening::Event(event) = happening else {
+        return peer.take(happening);
+    };
+    log(event);
+    let Some(keeper) = keeper else {
+        return peer.take(happening);
+    };
+    if matches!(event, Event::Message(_)) {
+        keeper.observe(event, peer.gate());
+        close(peer, keeper);
+        peer.take(happening);
+    } else {
+        peer.take(happening);
+        keeper.observe(event, peer.gate());
+        close(peer, keeper);
+    }
+}
+
+fn close(peer: &mut DevicePeer<ArmMachine>, keeper: &ZoneKeeper) {
+    let closed = keeper.closed();
+    if *peer.machine().closed() != closed {
+        peer.note(|arm| arm.close(closed));
+    }
+}
+
+/// Hears what the hub told of zones before: who grabs a zone may use it at once. `false` if they are gone.
+async fn hear_zones(
+    peer: &mut DevicePeer<ArmMachine>,
+    mut keeper: Option<&mut ZoneKeeper>,
+    zones: &mut Option<ZoneWatch>,
+) -> bool {
+    while let Some(event) = ready(zone_event(zones)).await {
+        let Some(event) = event else { return false };
+        hear_zone(peer, keeper.as_deref_mut(), &event);
+    }
+    true
 }
 
 /// Waits for news of the zones, if there are any.
@@ -189,20 +193,26 @@ async fn ready<T>(future: impl Future<Output = T>) -> Option<T> {
     }
 }
 
-fn handle_zone(
-    server: &mut RobotServer,
-    event: &ZoneEvent,
-    gate: &FenceGate,
-    now: ArmTime,
-    out: &mut Vec<Parcel>,
-) {
+fn hear_zone(peer: &mut DevicePeer<ArmMachine>, keeper: Option<&mut ZoneKeeper>, event: &ZoneEvent) {
+    let Some(keeper) = keeper else { return };
     match event {
-        ZoneEvent::News(news) => server.handle_zones(news, now, out),
+        ZoneEvent::News(news) => keeper.hear(news),
         ZoneEvent::Question(consult) => {
-            let answer = server.grant(&consult.context, &consult.peer, gate, now, out);
+            // Where the arm is now.
+            peer.take(&Happening::Due);
+            let state = peer.state();
+            let is_busy = state.executing.is_some() || state.waiting > 0;
+            let answer = keeper.grant(
+                &consult.context,
+                &consult.peer,
+                peer.gate(),
+                peer.machine(),
+                is_busy,
+            );
             tokio::spawn(answer_question(consult.clone(), answer));
         }
     }
+    close(peer, keeper);
 }
 
 async fn answer_question(consult: Consult, answer: Result<(), String>) {
@@ -235,43 +245,5 @@ fn ended(client: &Client) -> ClientError {
             "the hub deleted the arm's channel, or its zones",
         )
         .into(),
-    }
-}
-
-async fn sleep_or_wait(wake: Option<Instant>) {
-    match wake {
-        Some(wake) => sleep_until(wake).await,
-        None => pending().await,
-    }
-}
-
-fn time_of_day() -> Time {
-    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
-    let micros = since.ok().and_then(|since| i64::try_from(since.as_micros()).ok());
-    micros.and_then(Time::from_micros).unwrap_or_default()
-}
-
-/// The arm's time.
-struct ArmClock {
-    begin: Instant,
-    pace: u32,
-}
-
-impl ArmClock {
-    fn start(pace: u32) -> ArmClock {
-        ArmClock {
-            begin: Instant::now(),
-            pace: pace.clamp(1, 100),
-        }
-    }
-
-    fn now(&self) -> ArmTime {
-        let micros = self.begin.elapsed().as_micros() * u128::from(self.pace);
-        ArmTime::try_from(micros).unwrap_or(ArmTime::MAX)
-    }
-
-    fn at(&self, due: ArmTime) -> Instant {
-        let micros = u64::try_from(due).unwrap_or(0);
-        self.begin + Duration::from_micros(micros.div_ceil(self.pace.into()))
     }
 }

@@ -1,5 +1,6 @@
 //! The pose of the hand: a position and two angles in the table's frame (M50).
 
+use mom_client::{Map, Value};
 use serde::{Deserialize, Serialize};
 
 /// A vector in the table's frame: x, y, z in mm, or without a unit for a direction.
@@ -42,6 +43,18 @@ pub struct HandAxes {
     pub across: Xyz,
     /// The way the fingers point.
     pub approach: Xyz,
+}
+
+impl From<Pose> for Value {
+    /// `{x, y, z, spin, tilt}`.
+    fn from(pose: Pose) -> Value {
+        let Pose { x, y, z, spin, tilt } = pose;
+        let numbers = [("x", x), ("y", y), ("z", z), ("spin", spin), ("tilt", tilt)];
+        let map = numbers.into_iter().fold(Map::new(), |map, (name, number)| {
+            map.with(name, Value::Double(number))
+        });
+        map.into()
+    }
 }
 
 impl Pose {

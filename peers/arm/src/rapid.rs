@@ -23,11 +23,11 @@ use rs_opw_kinematics::glam::{DMat3, DQuat, DVec3};
 
 use crate::arm::HOME;
 use crate::controller::Instruction;
-use crate::error::ArmError;
 use crate::path;
 use crate::pose::Pose;
 use crate::reach;
-use crate::script::{Grip, Script, Statement};
+use crate::script::{Action, Grip, Script, Statement};
+use mom_device::DeviceError;
 
 /// The digital output that closes the gripper.
 pub const GRIPPER_OUTPUT: &str = "do_gripper";
@@ -51,9 +51,9 @@ PERS wobjdata table:=[FALSE,TRUE,\"\",[[960,0,400],[1,0,0,0]],[[0,0,0],[1,0,0,0]
 ///
 /// let slide = Instruction::Glide(Pose::new(100.0, 50.0, 300.0, 0.0, 0.0), 10_000);
 /// assert!(rapid::instruction(&slide)?.contains(r",vslow\T:=0.01,fine,grippertool"));
-/// # Ok::<(), mom_arm::ArmError>(())
+/// # Ok::<(), mom_device::DeviceError>(())
 /// ```
-pub fn instruction(instruction: &Instruction) -> Result<String, ArmError> {
+pub fn instruction(instruction: &Instruction) -> Result<String, DeviceError> {
     match instruction {
         Instruction::Move(pose) => move_line(pose),
         // The optional argument T replaces the speed by the time that the motion takes.
@@ -84,9 +84,9 @@ pub fn instruction(instruction: &Instruction) -> Result<String, ArmError> {
 ///     [r"MoveL [[100,50,300],[0,1,0,0],[0,0,0,0],[9E9,9E9,9E9,9E9,9E9,9E9]],vslow,fine,grippertool\WObj:=table;"]
 /// );
 /// assert_eq!(lines[2], ["WaitTime 0.5;"]);
-/// # Ok::<(), mom_arm::ArmError>(())
+/// # Ok::<(), mom_device::DeviceError>(())
 /// ```
-pub fn lines(script: &Script, from: &Pose) -> Result<Vec<Vec<String>>, ArmError> {
+pub fn lines(script: &Script, from: &Pose) -> Result<Vec<Vec<String>>, DeviceError> {
     let mut at = *from;
     let mut all = Vec::with_capacity(script.statements().len());
     for (number, statement) in (1..).zip(script.statements()) {
@@ -97,15 +97,15 @@ pub fn lines(script: &Script, from: &Pose) -> Result<Vec<Vec<String>>, ArmError>
             at = to;
             legs.iter().map(move_line).collect()
         };
-        let lines: Result<Vec<String>, ArmError> = match statement {
-            Statement::Move(pose) => go(*pose),
-            Statement::By(by) => go(here.plus(by)),
-            Statement::Home => go(HOME),
-            Statement::Grip(grip) => Ok(vec![grip_line(*grip)]),
+        let lines: Result<Vec<String>, DeviceError> = match statement {
+            Statement::Do(Action::Move(pose)) => go(*pose),
+            Statement::Do(Action::By(by)) => go(here.plus(by)),
+            Statement::Do(Action::Home) => go(HOME),
+            Statement::Do(Action::Grip(grip)) => Ok(vec![grip_line(*grip)]),
             Statement::Wait(ms) => Ok(vec![format!("WaitTime {};", decimal(f64::from(*ms) / 1000.0, 3))]),
             // The controller follows targets; where the hand is after it is not known before.
-            Statement::Jog(..) => Ok(vec!["! a velocity has no text in RAPID".to_owned()]),
-            Statement::Reset => {
+            Statement::Do(Action::Jog(..)) => Ok(vec!["! a velocity has no text in RAPID".to_owned()]),
+            Statement::Do(Action::Reset) => {
                 at = HOME;
                 Ok(vec!["! only the simulated arm can be put back".to_owned()])
             }
@@ -120,7 +120,7 @@ pub fn lines(script: &Script, from: &Pose) -> Result<Vec<Vec<String>>, ArmError>
 /// # Errors
 ///
 /// As [`lines`].
-pub fn text(script: &Script, from: &Pose) -> Result<String, ArmError> {
+pub fn text(script: &Script, from: &Pose) -> Result<String, DeviceError> {
     let mut text = String::new();
     for (statement, lines) in script.statements().iter().zip(lines(script, from)?) {
         text.push_str(&format!("! {statement}\n"));
@@ -140,7 +140,7 @@ fn grip_line(grip: Grip) -> String {
     format!("SetDO {GRIPPER_OUTPUT},{closed};")
 }
 
-fn move_line(to: &Pose) -> Result<String, ArmError> {
+fn move_line(to: &Pose) -> Result<String, DeviceError> {
     let position = list(to.position().map(|mm| decimal(mm, 3)));
     let orientation = list(quaternion(to).map(|part| decimal(part, 7)));
     let joints = reach::joints(to)?;
@@ -186,12 +186,12 @@ fn list<T: ToString>(parts: impl IntoIterator<Item = T>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::error::ErrorName;
+    use mom_device::ErrorName;
     use proptest::prelude::*;
 
     const TAIL: &str = r",[9E9,9E9,9E9,9E9,9E9,9E9]],vslow,fine,grippertool\WObj:=table;";
 
-    fn of(script: &str) -> Result<Vec<Vec<String>>, ArmError> {
+    fn of(script: &str) -> Result<Vec<Vec<String>>, DeviceError> {
         lines(&script.parse()?, &HOME)
     }
 

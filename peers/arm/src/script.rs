@@ -21,18 +21,14 @@
 use std::fmt;
 use std::str::FromStr;
 
+use mom_device::{DeviceError, Word, Words};
 use serde::{Deserialize, Serialize};
 
-use crate::error::{ArmError, ErrorName};
 use crate::jog::{self, Velocity};
+use crate::machine::ArmMachine;
 use crate::pose::Pose;
 
-/// The longest script, in bytes.
-pub const MAX_BYTES: usize = 64 * 1024;
-/// The most statements of a script.
-pub const MAX_STATEMENTS: usize = 1000;
-/// The longest `wait`, in ms.
-pub const MAX_WAIT: u32 = 60_000;
+pub use mom_device::{MAX_BYTES, MAX_STATEMENTS, MAX_WAIT};
 
 /// A command to the jaws.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -44,17 +40,15 @@ pub enum Grip {
     Close,
 }
 
-/// One statement of a script.
+/// What a statement makes the arm do.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Statement {
+pub enum Action {
     /// Move the hand to a pose.
     Move(Pose),
     /// Move the hand by so much; the numbers of a pose are differences here.
     By(Pose),
     /// Move the jaws.
     Grip(Grip),
-    /// Wait for so many ms.
-    Wait(u32),
     /// Move the hand at a velocity for so many ms.
     Jog(Velocity, u32),
     /// Move the hand to its home pose.
@@ -62,6 +56,9 @@ pub enum Statement {
     /// Put everything back to where it was at the start.
     Reset,
 }
+
+/// One statement of a script.
+pub type Statement = mom_device::Statement<Action>;
 
 /// A script: between 1 and [`MAX_STATEMENTS`] statements.
 ///
@@ -72,85 +69,62 @@ pub enum Statement {
 ///
 /// let script: Script = "move 100 50 200 0 0\ngrip close # got it".parse()?;
 /// assert_eq!(script.to_string(), "move 100 50 200 0 0; grip close");
-/// # Ok::<(), mom_arm::ArmError>(())
+/// # Ok::<(), mom_device::DeviceError>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
-pub struct Script(Vec<Statement>);
+pub struct Script(mom_device::Script<Action>);
 
 impl Script {
     /// The statements, in the order in which they take effect.
     #[must_use]
     pub fn statements(&self) -> &[Statement] {
-        &self.0
+        self.0.statements()
+    }
+
+    /// Whether it says of a motion only how far it goes from where the hand is at the beginning, so that it is wrong from anywhere else (M35).
+    #[must_use]
+    pub fn is_relative(&self) -> bool {
+        self.0.is_relative::<ArmMachine>()
+    }
+
+    /// As a device takes it.
+    pub(crate) fn into_inner(self) -> mom_device::Script<Action> {
+        self.0
     }
 }
 
 impl FromStr for Script {
-    type Err = ArmError;
+    type Err = DeviceError;
 
     /// Reads a script.
     ///
     /// # Errors
     ///
-    /// [`ErrorName::Syntax`] with the statement's number, where the mistake begins, and
-    /// the nearest known word where a word is unknown.
-    fn from_str(text: &str) -> Result<Self, ArmError> {
-        Self::read(text).map_err(|error| error.in_text(text))
+    /// `syntax` with the statement's number, where the mistake begins, and the nearest known word where a word is unknown.
+    fn from_str(text: &str) -> Result<Self, DeviceError> {
+        let script = mom_device::Script::read::<ArmMachine>(text)?;
+        check_jogs(&script)?;
+        Ok(Self(script))
     }
 }
 
-impl Script {
-    /// Whether it says of a motion only how far it goes from where the hand is at the beginning, so that it is wrong from anywhere else (M35).
-    #[must_use]
-    pub fn is_relative(&self) -> bool {
-        let motions = self.0.iter().find(|statement| {
-            matches!(
-                statement,
-                Statement::Move(_) | Statement::Home | Statement::Reset | Statement::By(_)
-            )
-        });
-        matches!(motions, Some(Statement::By(_)))
-    }
-
-    fn read(text: &str) -> Result<Self, ArmError> {
-        if text.len() > MAX_BYTES {
-            let length = text.len();
-            return Err(syntax(
-                MAX_BYTES,
-                format!("the script has {length} bytes, at most {MAX_BYTES} are read"),
-            ));
+/// A velocity stands alone: what would follow it would begin nobody knows where.
+pub(crate) fn check_jogs(script: &mom_device::Script<Action>) -> Result<(), DeviceError> {
+    let jog = script
+        .actions()
+        .find(|(action, _)| matches!(action, Action::Jog(..)));
+    match jog {
+        Some((_, number)) if script.statements().len() > 1 => {
+            let error = DeviceError::syntax(0, "`jog` stands alone in its script");
+            Err(error.at_statement(number))
         }
-        let mut statements = Vec::new();
-        for mut words in split(text) {
-            let Some(verb) = words.next() else { continue };
-            let number = statements.len() + 1;
-            if number > MAX_STATEMENTS {
-                let text = format!("the script has more than {MAX_STATEMENTS} statements");
-                return Err(syntax(verb.at, text));
-            }
-            let statement = Statement::read(verb, &mut words)
-                .and_then(|statement| words.expect_end(verb.text).map(|()| statement));
-            let number = u32::try_from(number).expect("at most MAX_STATEMENTS");
-            statements.push(statement.map_err(|error| error.at_statement(number))?);
-        }
-        if statements.len() > 1
-            && let Some(place) = statements
-                .iter()
-                .position(|one| matches!(one, Statement::Jog(..)))
-        {
-            let number = u32::try_from(place + 1).unwrap_or(u32::MAX);
-            return Err(syntax(0, "`jog` stands alone in its script").at_statement(number));
-        }
-        if statements.is_empty() {
-            return Err(syntax(0, "the script has no statement"));
-        }
-        Ok(Self(statements))
+        _ => Ok(()),
     }
 }
 
 impl fmt::Display for Script {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (place, statement) in self.0.iter().enumerate() {
+        for (place, statement) in self.statements().iter().enumerate() {
             if place > 0 {
                 f.write_str("; ")?;
             }
@@ -160,86 +134,77 @@ impl fmt::Display for Script {
     }
 }
 
-const VERBS: &[&str] = &["move", "by", "grip", "wait", "jog", "home", "reset"];
-const GRIPS: &[&str] = &["open", "close"];
+/// The first words of its statements, but for `wait`.
+pub(crate) const VERBS: &[&str] = &["move", "by", "grip", "jog", "home", "reset"];
+const GRIPS: [&str; 2] = ["open", "close"];
 
-impl Statement {
-    fn read(verb: Word<'_>, words: &mut Words<'_>) -> Result<Self, ArmError> {
-        match verb.text {
-            "move" => {
-                let mut number = |which| words.number("move", "five numbers, x y z spin tilt", which);
-                Ok(Self::Move(Pose {
-                    x: number("x")?,
-                    y: number("y")?,
-                    z: number("z")?,
-                    spin: number("spin")?,
-                    tilt: number("tilt")?,
-                }))
-            }
+impl Action {
+    /// Reads what follows a verb; none if there is no such verb.
+    pub(crate) fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Self, DeviceError>> {
+        let mut pose = |takes, [x, y, z, spin, tilt]: [&str; 5]| {
+            let mut number = |which| words.number(verb.text, takes, which);
+            Ok(Pose {
+                x: number(x)?,
+                y: number(y)?,
+                z: number(z)?,
+                spin: number(spin)?,
+                tilt: number(tilt)?,
+            })
+        };
+        Some(match verb.text {
+            "move" => pose("five numbers, x y z spin tilt", ["x", "y", "z", "spin", "tilt"]).map(Self::Move),
             "by" => {
-                let mut number = |which| words.number("by", "five numbers, dx dy dz dspin dtilt", which);
-                Ok(Self::By(Pose {
-                    x: number("dx")?,
-                    y: number("dy")?,
-                    z: number("dz")?,
-                    spin: number("dspin")?,
-                    tilt: number("dtilt")?,
-                }))
+                let names = ["dx", "dy", "dz", "dspin", "dtilt"];
+                pose("five numbers, dx dy dz dspin dtilt", names).map(Self::By)
             }
-            "grip" => match words.need("grip", "`open` or `close`", "it")? {
-                Word { text: "open", .. } => Ok(Self::Grip(Grip::Open)),
-                Word { text: "close", .. } => Ok(Self::Grip(Grip::Close)),
-                other => Err(unknown(other, GRIPS)),
-            },
-            "wait" => {
-                let word = words.need("wait", "a time in ms", "it")?;
-                match word.text.parse::<u32>() {
-                    Ok(ms) if ms <= MAX_WAIT => Ok(Self::Wait(ms)),
-                    _ => Err(syntax(
-                        word.at,
-                        format!(
-                            "`wait` takes a whole number of ms from 0 to {MAX_WAIT}, not `{}`",
-                            word.short()
-                        ),
-                    )),
-                }
-            }
-            "jog" => Self::read_jog(words),
+            "grip" => read_grip(words).map(Self::Grip),
+            "jog" => read_jog(verb, words),
             "home" => Ok(Self::Home),
             "reset" => Ok(Self::Reset),
-            _ => Err(unknown(verb, VERBS)),
+            _ => return None,
+        })
+    }
+
+    /// Where it moves the hand from this pose, if it does.
+    pub(crate) fn target(&self, from: &Pose) -> Option<Pose> {
+        match self {
+            Self::Move(pose) => Some(*pose),
+            Self::By(by) => Some(from.plus(by)),
+            Self::Home => Some(crate::arm::HOME),
+            Self::Grip(_) | Self::Jog(..) | Self::Reset => None,
         }
     }
 }
 
-impl Statement {
-    fn read_jog(words: &mut Words<'_>) -> Result<Self, ArmError> {
-        let at = words.at;
-        let mut number = |which| words.number("jog", "five velocities, vx vy vz vspin vtilt", which);
-        let velocity = Velocity::of([
-            number("vx")?,
-            number("vy")?,
-            number("vz")?,
-            number("vspin")?,
-            number("vtilt")?,
-        ]);
-        velocity.check().map_err(|error| error.at_position(at))?;
-        let ms = match words.next() {
-            None => jog::DEFAULT_MS,
-            Some(word) => match word.text.parse() {
-                Ok(ms @ 1..=jog::MOST_MS) => ms,
-                _ => {
-                    let text = format!(
-                        "`jog` lasts a whole number of ms from 1 to {}, not `{}`",
-                        jog::MOST_MS,
-                        word.short()
-                    );
-                    return Err(syntax(word.at, text));
-                }
-            },
-        };
-        Ok(Self::Jog(velocity, ms))
+fn read_grip(words: &mut Words<'_>) -> Result<Grip, DeviceError> {
+    let word = words.need("grip", "`open` or `close`", "it")?;
+    match word.text {
+        "open" => Ok(Grip::Open),
+        "close" => Ok(Grip::Close),
+        _ => {
+            let nearest = word.nearest(&GRIPS);
+            let text = format!("there is no `{}`; did you mean `{nearest}`?", word.short());
+            Err(DeviceError::syntax(word.at, text).with_nearest(nearest))
+        }
     }
+}
+
+fn read_jog(verb: Word<'_>, words: &mut Words<'_>) -> Result<Action, DeviceError> {
+    let mut number = |which| words.number("jog", "five velocities, vx vy vz vspin vtilt", which);
+    let velocity = Velocity::of([
+        number("vx")?,
+        number("vy")?,
+        number("vz")?,
+        number("vspin")?,
+        number("vtilt")?,
+    ]);
+    velocity.check().map_err(|error| error.at_position(verb.at))?;
+    if words.is_over() {
+        return Ok(Action::Jog(velocity, jog::DEFAULT_MS));
+    }
+    let most = i32::try_from(jog::MOST_MS).unwrap_or(i32::MAX);
+    let ms = words.whole("jog", "a sixth number", "for how many ms", 1..=most)?;
+    Ok(Action::Jog(velocity, u32::try_from(ms).unwrap_or(jog::MOST_MS)))
 }
 
 /// Numbers, each behind a blank.
@@ -255,7 +220,7 @@ fn write_numbers(f: &mut fmt::Formatter<'_>, numbers: [f64; 5]) -> fmt::Result {
     })
 }
 
-impl fmt::Display for Statement {
+impl fmt::Display for Action {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Move(pose) => {
@@ -273,139 +238,23 @@ impl fmt::Display for Statement {
             }
             Self::Grip(Grip::Open) => f.write_str("grip open"),
             Self::Grip(Grip::Close) => f.write_str("grip close"),
-            Self::Wait(ms) => write!(f, "wait {ms}"),
             Self::Home => f.write_str("home"),
             Self::Reset => f.write_str("reset"),
         }
     }
 }
 
-/// A word and the byte at which it begins.
-#[derive(Clone, Copy)]
-struct Word<'a> {
-    text: &'a str,
-    at: usize,
-}
-
-impl Word<'_> {
-    /// The word for an error's text, shortened.
-    fn short(&self) -> String {
-        let mut short: String = self.text.chars().take(24).collect();
-        if short.len() < self.text.len() {
-            short.push('…');
-        }
-        short
-    }
-}
-
-/// The words of one statement that are still to be read.
-struct Words<'a> {
-    rest: &'a str,
-    at: usize,
-}
-
-impl<'a> Iterator for Words<'a> {
-    type Item = Word<'a>;
-
-    fn next(&mut self) -> Option<Word<'a>> {
-        let trimmed = self.rest.trim_start();
-        self.at += self.rest.len() - trimmed.len();
-        let end = trimmed.find(char::is_whitespace).unwrap_or(trimmed.len());
-        let word = Word {
-            text: &trimmed[..end],
-            at: self.at,
-        };
-        self.rest = &trimmed[end..];
-        self.at += end;
-        (end > 0).then_some(word)
-    }
-}
-
-impl<'a> Words<'a> {
-    fn need(&mut self, verb: &str, takes: &str, which: &str) -> Result<Word<'a>, ArmError> {
-        self.next()
-            .ok_or_else(|| syntax(self.at, format!("`{verb}` takes {takes}; {which} is missing")))
-    }
-
-    fn number(&mut self, verb: &str, takes: &str, which: &str) -> Result<f64, ArmError> {
-        let word = self.need(verb, takes, which)?;
-        // `parse` also takes `inf` and `nan`, and makes an infinity of what is too large.
-        match word.text.parse::<f64>() {
-            Ok(value) if value.is_finite() => Ok(value),
-            _ => Err(syntax(
-                word.at,
-                format!("{which} is `{}`, which is not a number", word.short()),
-            )),
-        }
-    }
-
-    fn expect_end(&mut self, verb: &str) -> Result<(), ArmError> {
-        match self.next() {
-            None => Ok(()),
-            Some(word) => Err(syntax(
-                word.at,
-                format!(
-                    "`{verb}` ends before `{}`; is a `;` or a new line missing?",
-                    word.short()
-                ),
-            )),
-        }
-    }
-}
-
-/// The statements of a script as words, without their comments; some may have no word.
-fn split(text: &str) -> impl Iterator<Item = Words<'_>> {
-    let offset = move |part: &str| part.as_ptr() as usize - text.as_ptr() as usize;
-    text.split('\n').flat_map(move |line| {
-        let code = line.split_once('#').map_or(line, |(code, _comment)| code);
-        code.split(';').map(move |rest| Words {
-            rest,
-            at: offset(rest),
-        })
-    })
-}
-
-fn syntax(at: usize, text: impl Into<String>) -> ArmError {
-    ArmError::new(ErrorName::Syntax, text).at_position(at)
-}
-
-fn unknown(word: Word<'_>, known: &[&'static str]) -> ArmError {
-    let nearest = known
-        .iter()
-        .min_by_key(|candidate| edits(&word.text.to_lowercase(), candidate))
-        .expect("every list of known words has some");
-    syntax(
-        word.at,
-        format!("there is no `{}`; did you mean `{nearest}`?", word.short()),
-    )
-    .with_nearest(nearest)
-}
-
-/// How many letters must be changed, added or left out to make one word of the other.
-fn edits(word: &str, known: &str) -> usize {
-    let known: Vec<char> = known.chars().collect();
-    let mut row: Vec<usize> = (0..=known.len()).collect();
-    for (place, letter) in word.chars().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = place + 1;
-        for (column, other) in known.iter().enumerate() {
-            let changed = diagonal + usize::from(letter != *other);
-            diagonal = row[column + 1];
-            row[column + 1] = changed.min(diagonal + 1).min(row[column] + 1);
-        }
-    }
-    row[known.len()]
-}
-
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use mom_device::ErrorName;
     use proptest::prelude::*;
+
+    use super::*;
 
     #[test]
     fn reads_statements() {
-        let at = |x| Statement::Move(Pose::new(x, 50.0, 200.0, 0.0, -4.5));
-        let close = Statement::Grip(Grip::Close);
+        let at = |x| Statement::Do(Action::Move(Pose::new(x, 50.0, 200.0, 0.0, -4.5)));
+        let close = Statement::Do(Action::Grip(Grip::Close));
         for (text, want) in [
             ("move 100 50 200 0 -4.5; grip close", vec![at(100.0), close]),
             (
@@ -416,15 +265,16 @@ mod tests {
             (
                 "grip open\nhome;reset;wait 0; wait 60000",
                 vec![
-                    Statement::Grip(Grip::Open),
-                    Statement::Home,
-                    Statement::Reset,
+                    Statement::Do(Action::Grip(Grip::Open)),
+                    Statement::Do(Action::Home),
+                    Statement::Do(Action::Reset),
                     Statement::Wait(0),
                     Statement::Wait(60_000),
                 ],
             ),
         ] {
-            assert_eq!(text.parse::<Script>().map(|script| script.0), Ok(want), "{text}");
+            let read = text.parse::<Script>().map(|script| script.statements().to_vec());
+            assert_eq!(read, Ok(want), "{text}");
         }
     }
 
@@ -500,19 +350,22 @@ mod tests {
         ];
         prop_oneof![
             proptest::array::uniform5(number.clone())
-                .prop_map(|[x, y, z, a, b]| Statement::Move(Pose::new(x, y, z, a, b))),
+                .prop_map(|[x, y, z, a, b]| Statement::Do(Action::Move(Pose::new(x, y, z, a, b)))),
             proptest::array::uniform5(number)
-                .prop_map(|[x, y, z, a, b]| Statement::By(Pose::new(x, y, z, a, b))),
-            prop_oneof![Just(Grip::Open), Just(Grip::Close)].prop_map(Statement::Grip),
+                .prop_map(|[x, y, z, a, b]| Statement::Do(Action::By(Pose::new(x, y, z, a, b)))),
+            prop_oneof![Just(Grip::Open), Just(Grip::Close)]
+                .prop_map(|grip| Statement::Do(Action::Grip(grip))),
             (0..=MAX_WAIT).prop_map(Statement::Wait),
-            Just(Statement::Home),
+            Just(Statement::Do(Action::Home)),
         ]
     }
 
     proptest! {
         #[test]
         fn display_reads_back(statements in proptest::collection::vec(statement(), 1..50)) {
-            let script = Script(statements);
+            let text = statements.iter().map(Statement::to_string).collect::<Vec<_>>().join(";\n");
+            let script = text.parse::<Script>().unwrap();
+            prop_assert_eq!(script.statements(), statements);
             prop_assert_eq!(script.to_string().parse::<Script>(), Ok(script));
         }
 

@@ -3,9 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use crate::blocks::Block;
-use crate::error::ArmError;
 use crate::pose::Pose;
 use crate::script::Grip;
+use mom_device::DeviceError;
 
 /// How far a command has come (M42).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -105,7 +105,7 @@ pub enum ArmEvent {
         /// How far it has come.
         progress: ScriptProgress,
         /// Why, where the state is `error`.
-        error: Option<ArmError>,
+        error: Option<DeviceError>,
     },
     /// The arm's state changed: every 50 ms while it moves, and at rest at the end of each command.
     State(ArmState),

@@ -2,8 +2,8 @@
 
 use std::ops::RangeInclusive;
 
-use crate::error::{ArmError, ErrorName};
 use crate::pose::Pose;
+use mom_device::{DeviceError, ErrorName};
 
 /// The box and the cone of M50: 600 × 600 × 450 mm above the table, and the hand inside an inverted
 /// cone whose apex measures 90°.
@@ -48,7 +48,7 @@ impl Workspace {
     /// let error = WORKSPACE.check(&Pose::new(0.0, 320.0, 100.0, 0.0, 0.0)).unwrap_err();
     /// assert_eq!(error.text(), "y is 320 mm, but the workspace reaches from -300 to 300 mm");
     /// ```
-    pub fn check(&self, pose: &Pose) -> Result<(), ArmError> {
+    pub fn check(&self, pose: &Pose) -> Result<(), DeviceError> {
         for (axis, unit, value, range) in [
             ("x", "mm", pose.x, &self.x),
             ("y", "mm", pose.y, &self.y),
@@ -58,7 +58,7 @@ impl Workspace {
         ] {
             if !range.contains(&value) {
                 let (low, high) = (range.start(), range.end());
-                return Err(ArmError::new(
+                return Err(DeviceError::new(
                     ErrorName::WorkspaceBoundary,
                     format!(
                         "{axis} is {value} {unit}, but the workspace reaches from {low} to {high} {unit}"

@@ -1,11 +1,15 @@
 //! Errors of devices, in the shape and with the names and numbers of the lab's arm (M53), so that whoever drives one reads them
 //! of all.
 
-use mom_client::Value;
-use serde::Serialize;
+use std::fmt;
 
-/// The code words of a device's errors; each has the number that the lab's arm gives it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+use mom_client::Value;
+use serde::{Deserialize, Serialize};
+
+/// The stable code words of a device's errors, each with a number of its own ([`ErrorName::code`]).
+///
+/// The numbers lie above 5000, clear of the hub's own table (100 to 499); the first six are those of M53.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum ErrorName {
@@ -15,8 +19,12 @@ pub enum ErrorName {
     WorkspaceBoundary,
     /// The link to the device itself failed, so that nothing is known of it.
     Link,
+    /// The hand lines up with the forearm, or the forearm with the upper arm: a small move would need a fast turn.
+    Singularity,
     /// A joint or an axis would have to turn further than it can.
     JointLimit,
+    /// The motors were overloaded by a contact, which has no other sensor (M49).
+    TorqueOverload,
     /// The command was ended before its end, or never begun, because the device was halted.
     Halted,
     /// The device is stopped and takes no command until it is released.
@@ -25,12 +33,16 @@ pub enum ErrorName {
     QueueFull,
     /// A command of this id is still waiting or executing.
     DuplicateId,
+    /// The device still moves as its old owner had it move.
+    ChangingHands,
+    /// The device carries out something else that this cannot wait for.
+    Busy,
     /// The command is older than it may be when it begins.
     TooOld,
     /// A relative command does not name the state that it is based on.
     NoState,
-    /// The device still moves as its old owner had it move.
-    ChangingHands,
+    /// The way leads through a zone that the owner of the device does not own (M40).
+    ZoneNotOwned,
     /// Something is in the way.
     Obstacle,
     /// The device has no energy left to do it.
@@ -38,6 +50,51 @@ pub enum ErrorName {
 }
 
 impl ErrorName {
+    /// Every name, in the order of the numbers.
+    pub const ALL: [Self; 17] = [
+        Self::Syntax,
+        Self::WorkspaceBoundary,
+        Self::Link,
+        Self::Singularity,
+        Self::JointLimit,
+        Self::TorqueOverload,
+        Self::Halted,
+        Self::Stopped,
+        Self::QueueFull,
+        Self::DuplicateId,
+        Self::ChangingHands,
+        Self::Busy,
+        Self::TooOld,
+        Self::NoState,
+        Self::ZoneNotOwned,
+        Self::Obstacle,
+        Self::Battery,
+    ];
+
+    /// The code word, as it stands on the wire.
+    #[must_use]
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Syntax => "syntax",
+            Self::WorkspaceBoundary => "workspace-boundary",
+            Self::Link => "link",
+            Self::Singularity => "singularity",
+            Self::JointLimit => "joint-limit",
+            Self::TorqueOverload => "torque-overload",
+            Self::Halted => "halted",
+            Self::Stopped => "stopped",
+            Self::QueueFull => "queue-full",
+            Self::DuplicateId => "duplicate-id",
+            Self::ChangingHands => "changing-hands",
+            Self::Busy => "busy",
+            Self::TooOld => "too-old",
+            Self::NoState => "no-state",
+            Self::ZoneNotOwned => "zone-not-owned",
+            Self::Obstacle => "obstacle",
+            Self::Battery => "battery",
+        }
+    }
+
     /// Its number.
     #[must_use]
     pub const fn code(self) -> u16 {
@@ -45,22 +102,33 @@ impl ErrorName {
             Self::Syntax => 5001,
             Self::WorkspaceBoundary => 5002,
             Self::Link => 5003,
+            Self::Singularity => 5004,
             Self::JointLimit => 5005,
+            Self::TorqueOverload => 5006,
             Self::Halted => 5101,
             Self::Stopped => 5102,
             Self::QueueFull => 5103,
             Self::DuplicateId => 5104,
+            Self::ChangingHands => 5105,
+            Self::Busy => 5106,
             Self::TooOld => 5107,
             Self::NoState => 5108,
-            Self::ChangingHands => 5105,
+            Self::ZoneNotOwned => 5109,
             Self::Obstacle => 5110,
             Self::Battery => 5111,
         }
     }
 
-    /// Whether the same command may be taken a little later. A new owner's has been waited with already.
-    const fn is_retryable(self) -> bool {
-        matches!(self, Self::QueueFull)
+    /// Whether the same command may be taken a little later, although nothing about it changes.
+    #[must_use]
+    pub const fn is_retryable(self) -> bool {
+        matches!(self, Self::QueueFull | Self::Busy)
+    }
+}
+
+impl fmt::Display for ErrorName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
     }
 }
 
@@ -124,10 +192,34 @@ impl DeviceError {
         self.name
     }
 
+    /// The number of the code word.
+    #[must_use]
+    pub const fn code(&self) -> u16 {
+        self.code
+    }
+
     /// Plain words, with the statement's number in front where there is one.
     #[must_use]
     pub fn text(&self) -> &str {
         &self.text
+    }
+
+    /// The number of the statement concerned, 1 for the first.
+    #[must_use]
+    pub const fn statement(&self) -> Option<u32> {
+        self.statement
+    }
+
+    /// The byte of the script at which the mistake begins.
+    #[must_use]
+    pub const fn position(&self) -> Option<usize> {
+        self.position
+    }
+
+    /// The known word that is nearest to an unknown one.
+    #[must_use]
+    pub const fn nearest(&self) -> Option<&'static str> {
+        self.nearest
     }
 
     /// The nearest position that the device can reach instead of the one that it cannot.
@@ -140,6 +232,27 @@ impl DeviceError {
     #[must_use]
     pub fn place(&self) -> Option<(u32, u32)> {
         self.line.zip(self.column)
+    }
+
+    /// The same error, where the same command may be taken a little later.
+    #[must_use]
+    pub fn with_retry(mut self) -> Self {
+        self.retry = true;
+        self
+    }
+
+    /// The same error, said of a byte of the script.
+    #[must_use]
+    pub fn at_position(mut self, position: usize) -> Self {
+        self.position = Some(position);
+        self
+    }
+
+    /// The same error in other words.
+    #[must_use]
+    pub fn in_words(mut self, text: impl Into<String>) -> Self {
+        self.text = text.into();
+        self
     }
 
     /// The same error, said of a statement (1 for the first).
@@ -169,8 +282,37 @@ impl DeviceError {
     }
 
     /// The same error, with the word that was probably meant.
-    pub(crate) fn with_nearest(mut self, nearest: &'static str) -> Self {
+    #[must_use]
+    pub fn with_nearest(mut self, nearest: &'static str) -> Self {
         self.nearest = Some(nearest);
         self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde::de::IntoDeserializer;
+    use serde::de::value::{Error, StrDeserializer};
+
+    use super::*;
+
+    #[test]
+    fn code_words_and_numbers_are_unique_and_stand_for_the_name() {
+        for (place, name) in ErrorName::ALL.into_iter().enumerate() {
+            let word: StrDeserializer<'_, Error> = name.as_str().into_deserializer();
+            assert_eq!(ErrorName::deserialize(word), Ok(name));
+            for other in &ErrorName::ALL[..place] {
+                assert!(other.code() < name.code(), "{other} {name}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_statement_stands_in_the_words() {
+        let error = DeviceError::new(ErrorName::JointLimit, "too far").at_statement(3);
+        assert_eq!(
+            (error.to_string().as_str(), error.statement()),
+            ("statement 3: too far", Some(3))
+        );
     }
 }

@@ -8,10 +8,12 @@
 mod clock;
 mod command;
 mod error;
+mod fresh;
 mod machine;
 mod outlet;
 mod pull;
 mod queue;
+mod refusal;
 mod rest;
 mod run;
 mod script;
@@ -25,9 +27,9 @@ pub use machine::Machine;
 pub use outlet::{Outlet, Sending, sender};
 pub use queue::{CommandQueue, MAX_WAITING, STATE_PERIOD};
 pub use rest::{AtRest, REST, Rest, Sample};
-pub use run::DevicePeer;
+pub use run::{DevicePeer, Happening};
 pub use script::{Attachments, MAX_ATTACHED, MAX_BYTES, MAX_STATEMENTS, MAX_WAIT, Script, Statement};
-pub use server::DeviceServer;
+pub use server::{COMMAND, DeviceServer, STATE, STATUS};
 pub use words::{Word, Words};
 
 /// The time of a device, in µs since its program began.

@@ -39,6 +39,10 @@ pub trait Machine: fmt::Debug {
     /// `syntax`, at the word that is wrong.
     fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Self::Action, DeviceError>>;
 
+    /// Whether what its owner began may come to the end of the present statement where he gives its token away, and the hub sends no `halt`.
+    /// Else it is halted then, too.
+    const COMPLETES: bool = false;
+
     /// Gives an action the bytes that it names, of those that came with its script.
     ///
     /// # Errors
@@ -48,8 +52,14 @@ pub trait Machine: fmt::Debug {
         Ok(())
     }
 
-    /// Whether an action says only how far it goes from where the device is, so that it is wrong from anywhere else (M35).
-    fn is_relative(_action: &Self::Action) -> bool {
+    /// Whether an action says only how far it goes from where the device is, so that it is wrong from anywhere else (M35); none of one that
+    /// takes it nowhere.
+    fn is_relative(_action: &Self::Action) -> Option<bool> {
+        Some(false)
+    }
+
+    /// Whether an action waits behind no other: it takes the place of one that gives way, and is refused as `busy` behind any other.
+    fn never_waits(_action: &Self::Action) -> bool {
         false
     }
 
@@ -64,6 +74,11 @@ pub trait Machine: fmt::Debug {
     /// Whether it can tell its mechanism what to do, and hears of it. What is not reached is never said to rest.
     fn is_reached(&self) -> bool {
         true
+    }
+
+    /// Whether what it reports changes by itself although it does not move, such as where a thing is that falls. States follow meanwhile.
+    fn is_changing(&self) -> bool {
+        false
     }
 
     /// Checks a script from where the device will be after those that were planned before, and plans on from its end.
@@ -83,9 +98,25 @@ pub trait Machine: fmt::Debug {
     /// When the action that was begun last is done, as far as that is known.
     fn done_at(&self) -> Option<DeviceTime>;
 
-    /// Whether what was begun goes on until another command comes. Then it is halted, and its command is finished.
+    /// Goes on with the action that was begun last, until then at most, and says when it was done, or has failed ([`Machine::take_failure`]),
+    /// if it was. Only a machine that does not know that time before has more to do here.
+    fn pursue(&mut self, until: DeviceTime) -> Option<DeviceTime> {
+        self.done_at().filter(|done| *done <= until)
+    }
+
+    /// Why everything has to end that is being carried out or waits, if it has; once.
+    fn take_failure(&mut self) -> Option<DeviceError> {
+        None
+    }
+
+    /// Whether what was begun goes on until another command comes. Then it gives way, and its command is finished.
     fn gives_way(&self) -> bool {
         false
+    }
+
+    /// Gives way to the command that begins next.
+    fn give_way(&mut self, now: DeviceTime) {
+        self.halt(now);
     }
 
     /// Comes to a stand at once, and forgets what was planned. Each stop and each halt comes here, also at rest: the mechanism may not do

@@ -3,11 +3,11 @@
 use std::collections::VecDeque;
 use std::fmt::Debug;
 
-use mom_client::HUB;
-
 use crate::command::{Command, Order, QueueEvent, State};
 use crate::rest::Rest;
 use crate::{AtRest, DeviceError, DeviceTime, ErrorName, MAX_ATTACHED, Machine, Script, Statement};
+
+mod hand_over;
 
 /// µs between two states while a device moves, unless its machine says otherwise: 20 Hz.
 pub const STATE_PERIOD: DeviceTime = 50_000;
@@ -31,6 +31,8 @@ pub struct CommandQueue<M: Machine> {
     publish: DeviceTime,
     /// Whether the last state that was told said that it moves.
     told_moving: bool,
+    /// Whether it was changing by itself when that was looked at last.
+    was_changing: bool,
     /// What the last state that was told said of its rest, and whether it is reached.
     told_rest: Option<AtRest>,
     told_reached: bool,
@@ -43,10 +45,9 @@ pub struct CommandQueue<M: Machine> {
     waits_until: Option<DeviceTime>,
     /// For how long the program has stood still, while that is made up for.
     silence: Option<DeviceTime>,
+    /// How many times as fast as its users' time its own passes.
+    pace: DeviceTime,
 }
-
-/// µs that a new owner waits beyond twice the stopping time until the device rests.
-const INTERLOCK: DeviceTime = 1_000_000;
 
 /// µs after which what was heard of a device that rests does not say that it still does.
 const OLD: DeviceTime = 3_000_000;
@@ -59,6 +60,8 @@ struct Active<A> {
     begun: usize,
     /// When the present statement ends, if it is a `wait`, or none has begun; else when its action is done.
     ends: Option<DeviceTime>,
+    /// Why no statement begins after the present one; none if the script goes on.
+    last: Option<String>,
 }
 
 impl<M: Machine> CommandQueue<M> {
@@ -66,6 +69,7 @@ impl<M: Machine> CommandQueue<M> {
     pub fn new(machine: M) -> Self {
         Self {
             told_reached: machine.is_reached(),
+            was_changing: machine.is_changing(),
             machine,
             now: 0,
             seq: 0,
@@ -80,7 +84,25 @@ impl<M: Machine> CommandQueue<M> {
             changes_hands: false,
             waits_until: None,
             silence: None,
+            pace: 1,
         }
+    }
+
+    /// This queue, for a device whose time passes so many times as fast as that of its users and of its program.
+    #[must_use]
+    pub fn at_pace(mut self, pace: u32) -> Self {
+        self.pace = pace.max(1).into();
+        self
+    }
+
+    /// How many times as fast as its users' time its own passes.
+    pub(crate) fn pace(&self) -> DeviceTime {
+        self.pace
+    }
+
+    /// The latest time that was given.
+    pub fn now(&self) -> DeviceTime {
+        self.now
     }
 
     /// The device itself.
@@ -100,14 +122,6 @@ impl<M: Machine> CommandQueue<M> {
         }
     }
 
-    /// It has a new owner: no motion of it begins before the device rests.
-    pub fn change_hands(&mut self, now: DeviceTime, events: &mut Vec<QueueEvent>) {
-        self.advance(now, events);
-        self.doubt_old_news();
-        self.changes_hands = self.rest.known().is_none();
-        self.waits_until = None;
-    }
-
     /// Whether it moves, or is to stand and does not rest yet. Where it is not reached nobody knows.
     pub(crate) fn is_moving(&self) -> bool {
         self.machine.is_moving() || self.halting || !self.machine.is_reached()
@@ -115,7 +129,8 @@ impl<M: Machine> CommandQueue<M> {
 
     /// Whether its position may change meanwhile: what is not reached tells nothing new.
     fn is_lively(&self) -> bool {
-        self.machine.is_reached() && (self.machine.is_moving() || self.halting)
+        let moves = self.machine.is_moving() || self.machine.is_changing();
+        self.machine.is_reached() && (moves || self.halting)
     }
 
     /// That it rests is found out anew where what is known of it is old: it may have moved since.
@@ -150,8 +165,8 @@ impl<M: Machine> CommandQueue<M> {
     ///
     /// # Errors
     ///
-    /// `stopped`, `queue-full`, or why the machine cannot carry it out. Then nothing moves, and there is no event but of the
-    /// time that passed.
+    /// `stopped`, `queue-full`, `busy`, `changing-hands`, or why the machine cannot carry it out. Then nothing moves, and there is no event
+    /// but of the time that passed.
     pub fn submit(
         &mut self,
         command: Command<M::Action>,
@@ -161,6 +176,7 @@ impl<M: Machine> CommandQueue<M> {
         self.advance(now, events);
         self.check_free()?;
         self.check_attached(&command.script)?;
+        self.check_turn(&command.script)?;
         self.machine.plan(&command.script)?;
         events.push(QueueEvent::Waiting(command.progress(0)));
         self.waiting.push_back(command);
@@ -196,10 +212,11 @@ impl<M: Machine> CommandQueue<M> {
     pub fn advance(&mut self, now: DeviceTime, events: &mut Vec<QueueEvent>) {
         let due = self.next_wake().filter(|_| self.is_busy());
         let silence = due.map_or(0, |due| now.saturating_sub(due));
-        if silence > M::PATIENCE {
+        let patience = M::PATIENCE.saturating_mul(self.pace);
+        if silence > patience {
             self.silence = Some(silence);
             // For so long the mechanism has gone on by itself.
-            self.carry_on(now - silence + M::PATIENCE, events);
+            self.carry_on(now - silence + patience, events);
             if self.is_busy() {
                 self.end_silent(silence, events);
             }
@@ -221,16 +238,19 @@ impl<M: Machine> CommandQueue<M> {
 
     fn carry_on(&mut self, now: DeviceTime, events: &mut Vec<QueueEvent>) {
         loop {
-            match self.active.as_ref().map(|active| self.ends(active)) {
+            match self.active.is_some().then(|| self.pursue(now)) {
                 // An action that was done without word of it, or before it was looked at, ends now.
-                Some(Some(ends)) if ends <= now => {
+                Some(Some(ends)) => {
                     self.pass(ends);
+                    if self.heed_failure(events) {
+                        continue;
+                    }
                     if self.machine.gives_way() {
-                        self.machine.halt(self.now);
+                        self.machine.give_way(self.now);
                     }
                     self.begin_statement(events);
                 }
-                Some(_) => break,
+                Some(None) => break,
                 None if self.waiting.is_empty() || self.silence.is_some() => break,
                 None if self.waits_for_rest() => {
                     self.pass(now);
@@ -238,49 +258,61 @@ impl<M: Machine> CommandQueue<M> {
                         self.wait_for_rest(events);
                         break;
                     }
+                    // That it rests is told before the new owner moves it.
+                    if self.told_rest.is_none() {
+                        self.publish_state(events);
+                    }
                 }
                 None => self.begin_command(events),
             }
         }
         self.pass(now);
+        self.heed_failure(events);
         self.tell_rest(events);
+        let was_changing = std::mem::replace(&mut self.was_changing, self.machine.is_changing());
         if self.is_lively() && self.now >= self.publish {
             let late = (self.now - self.publish) / M::PERIOD;
             self.publish = self.publish.saturating_add((late + 1) * M::PERIOD);
             self.publish_state(events);
+        } else if was_changing && !self.was_changing {
+            self.publish_state(events);
         }
     }
 
-    /// Whether the first command of a new owner has to wait. The hub's own is the safe state, for which the device was halted.
-    fn waits_for_rest(&self) -> bool {
-        let is_hubs = |command: &Command<M::Action>| &*command.order.peer == HUB;
-        self.changes_hands && self.waiting.front().is_some_and(|command| !is_hubs(command))
+    /// When the present statement ended, if it did until then.
+    fn pursue(&mut self, until: DeviceTime) -> Option<DeviceTime> {
+        let active = self.active.as_ref()?;
+        if let Some(ends) = active.ends {
+            return (ends <= until).then_some(ends);
+        }
+        let done = self.machine.pursue(until);
+        done.or_else(|| self.gives_way().then_some(self.now.min(until)))
     }
 
-    /// Lets a new owner's commands wait for rest, and refuses them where it does not come.
-    fn wait_for_rest(&mut self, events: &mut Vec<QueueEvent>) {
-        let longest = 2 * M::STOPPING_TIME + INTERLOCK;
-        let until = *self.waits_until.get_or_insert(self.now.saturating_add(longest));
-        if self.now < until {
-            return;
+    /// Whether what is being carried out ends as another command waits.
+    fn gives_way(&self) -> bool {
+        self.machine.gives_way() && !self.waiting.is_empty()
+    }
+
+    /// Ends all commands where the machine has failed.
+    fn heed_failure(&mut self, events: &mut Vec<QueueEvent>) -> bool {
+        let failure = self.machine.take_failure().filter(|_| self.is_busy());
+        let failed = failure.is_some();
+        if let Some(error) = failure {
+            self.fail_statement(error, events);
         }
-        self.waits_until = None;
-        let why = match self.machine.is_reached() {
-            true => "it still moves as its old owner had it move",
-            false => "it cannot be reached, so that nobody knows whether it stands",
+        failed
+    }
+
+    /// Ends the active command with an error of its present statement. Those behind it were checked from where it should have led.
+    fn fail_statement(&mut self, error: DeviceError, events: &mut Vec<QueueEvent>) {
+        let begun = self.active.as_ref().map_or(0, |active| active.begun);
+        let error = match u32::try_from(begun) {
+            Ok(statement @ 1..) => error.at_statement(statement),
+            _ => error,
         };
-        let text = format!(
-            "{} is changing hands, and {why} {} ms after the command",
-            M::NAME,
-            longest / 1000
-        );
-        let error = DeviceError::new(ErrorName::ChangingHands, text);
-        for command in std::mem::take(&mut self.waiting) {
-            events.push(QueueEvent::Failed(command.progress(0), error.clone()));
-        }
-        // What was planned from is where those would have led.
-        self.machine.halt(self.now);
-        self.publish_state(events);
+        let behind = "the command before it failed, so this one was not begun";
+        self.end(error, &DeviceError::new(ErrorName::Halted, behind), events);
     }
 
     /// Tells when it has come to rest, and when it rests no more though nothing drives it.
@@ -299,7 +331,7 @@ impl<M: Machine> CommandQueue<M> {
 
     fn ends(&self, active: &Active<M::Action>) -> Option<DeviceTime> {
         let done = || self.machine.done_at();
-        let given_way = || (self.machine.gives_way() && !self.waiting.is_empty()).then_some(self.now);
+        let given_way = || self.gives_way().then_some(self.now);
         active.ends.or_else(done).or_else(given_way)
     }
 
@@ -427,6 +459,7 @@ impl<M: Machine> CommandQueue<M> {
             command,
             begun: 0,
             ends: Some(self.now),
+            last: None,
         });
         if let Some(late @ 1..) = late {
             let text = format!("the command waited {} ms longer than it is good for", late / 1000);
@@ -447,12 +480,25 @@ impl<M: Machine> CommandQueue<M> {
         let Some(statement) = active.command.script.statements().get(active.begun).cloned() else {
             let progress = active.command.progress(active.begun);
             self.active = None;
-            self.publish_state(events);
+            // Who predicts goes on where it does.
+            let goes_on = self.machine.is_moving() && !self.waiting.is_empty();
+            if !goes_on {
+                self.publish_state(events);
+            }
             events.push(QueueEvent::Finished(progress));
             return;
         };
         if let Some(silence) = self.silence {
             return self.end_silent(silence, events);
+        }
+        if let Some(reason) = &active.last {
+            let text = format!(
+                "{} ended the script after statement {}: {reason}",
+                M::NAME,
+                active.begun
+            );
+            let error = DeviceError::new(ErrorName::Halted, text);
+            return self.end(error.clone(), &error, events);
         }
         active.begun += 1;
         events.push(QueueEvent::Executing(active.command.progress(active.begun)));
@@ -460,9 +506,7 @@ impl<M: Machine> CommandQueue<M> {
             Statement::Do(action) => {
                 active.ends = None;
                 if let Err(error) = self.machine.begin(&action, self.now) {
-                    let behind = "the command before it failed, so this one was not begun";
-                    self.end(error, &DeviceError::new(ErrorName::Halted, behind), events);
-                    return;
+                    return self.fail_statement(error, events);
                 }
                 // From here on it moves as this command says, not as one that was to stand.
                 self.halting &= !self.machine.is_moving();

@@ -25,6 +25,22 @@ pub struct DevicePeer<M: Machine> {
     outlet: Outlet<Box<dyn Fn(Parcel) -> Sending + Send + Sync>>,
     out: Vec<Parcel>,
     begin: Instant,
+    pace: u32,
+}
+
+/// What a device has waited for, to be taken in by [`DevicePeer::take`].
+#[derive(Debug)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "it lives for one turn of a loop, and a box for each event would cost more"
+)]
+pub enum Happening {
+    /// An event of its channel.
+    Event(Event),
+    /// It is time to go on.
+    Due,
+    /// Something that it said has left.
+    Left,
 }
 
 impl<M: Machine> DevicePeer<M> {
@@ -42,8 +58,24 @@ impl<M: Machine> DevicePeer<M> {
             outlet: Outlet::new(Box::new(sender(client))),
             out,
             begin,
+            pace: 1,
             client: client.clone(),
         }
+    }
+
+    /// Has it take no command that is older than this when it begins, whatever its sender says: [`DeviceServer::with_max_age`].
+    #[must_use]
+    pub fn with_max_age(mut self, max_age: Duration) -> Self {
+        self.server = self.server.with_max_age(max_age);
+        self
+    }
+
+    /// Has its time pass so many times as fast as that of its users: [`DeviceServer::at_pace`].
+    #[must_use]
+    pub fn at_pace(mut self, pace: u32) -> Self {
+        self.pace = pace.max(1);
+        self.server = self.server.at_pace(self.pace);
+        self
     }
 
     /// Has it ask for its commands, each time for so long, and take none that is too late: [`DeviceServer::pulling`].
@@ -68,7 +100,12 @@ impl<M: Machine> DevicePeer<M> {
 
     /// Its time.
     pub fn now(&self) -> DeviceTime {
-        time_since(self.begin)
+        time_since(self.begin).saturating_mul(self.pace.into())
+    }
+
+    /// The gate of its channel, which knows who owns its token.
+    pub fn gate(&self) -> &FenceGate {
+        &self.gate
     }
 
     /// Whether its link to the hub is down, so that nothing can be said.
@@ -96,7 +133,7 @@ impl<M: Machine> DevicePeer<M> {
 
     /// When what it tells of itself was so, if that was not just now.
     pub fn known_time(&self) -> Option<Time> {
-        let age = self.now().saturating_sub(self.machine().known_at()?);
+        let age = self.now().saturating_sub(self.machine().known_at()?) / DeviceTime::from(self.pace);
         Time::from_micros(time_of_day().micros().saturating_sub(age))
     }
 
@@ -110,6 +147,16 @@ impl<M: Machine> DevicePeer<M> {
     ///
     /// What it says leaves with the next call: what was decided can be made known elsewhere first.
     pub async fn step(&mut self) -> bool {
+        let Some(happening) = self.wait().await else {
+            return false;
+        };
+        self.take(&happening);
+        true
+    }
+
+    /// Waits as [`DevicePeer::step`] does, and decides nothing: what happened is to be handed to [`DevicePeer::take`] at once, after whatever
+    /// has to be known before. May be dropped at any time, and nothing is lost.
+    pub async fn wait(&mut self) -> Option<Happening> {
         let now = self.now();
         self.server.ask(&self.gate, now, &mut self.out);
         self.send();
@@ -117,17 +164,22 @@ impl<M: Machine> DevicePeer<M> {
         let wake = wake.chain(self.server.asks_at(&self.gate)).min();
         let wake = wake.map(|due| self.at(due));
         tokio::select! {
-            event = self.events.next() => match event {
-                Some(event) => self.hear(&event),
-                None => return false,
-            },
-            () = sleep_or_wait(wake) => {
+            event = self.events.next() => event.map(Happening::Event),
+            () = sleep_or_wait(wake) => Some(Happening::Due),
+            () = self.outlet.work() => Some(Happening::Left),
+        }
+    }
+
+    /// Decides what follows from what happened.
+    pub fn take(&mut self, happening: &Happening) {
+        match happening {
+            Happening::Event(event) => self.hear(event),
+            Happening::Due => {
                 let now = self.now();
                 self.server.advance(now, &mut self.out);
             }
-            () = self.outlet.work() => {}
+            Happening::Left => {}
         }
-        true
     }
 
     /// Halts it, lets it say so, and ends. The client stays as it is.
@@ -164,7 +216,9 @@ impl<M: Machine> DevicePeer<M> {
     }
 
     fn at(&self, due: DeviceTime) -> Instant {
-        instant_of(self.begin, due)
+        // Not before it is due.
+        let pace = DeviceTime::from(self.pace);
+        instant_of(self.begin, due.saturating_add(pace - 1) / pace)
     }
 }
 

@@ -1,6 +1,7 @@
 //! Scripts of a device (M47): statements separated by `;` or by a new line, comments from `#` on.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::sync::Arc;
 
 use mom_client::{Map, Value};
@@ -72,6 +73,15 @@ pub enum Statement<A> {
     Wait(u32),
 }
 
+impl<A: fmt::Display> fmt::Display for Statement<A> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Do(action) => action.fmt(f),
+            Self::Wait(ms) => write!(f, "{WAIT} {ms}"),
+        }
+    }
+}
+
 /// A script: between 1 and [`MAX_STATEMENTS`] statements.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Script<A> {
@@ -104,12 +114,12 @@ impl<A> Script<A> {
             })
     }
 
-    /// Whether its first action says only how far it goes from where the device is then, so that it is wrong from anywhere else
+    /// Whether its first motion says only how far it goes from where the device is then, so that it is wrong from anywhere else
     /// (M35).
     #[must_use]
     pub fn is_relative<M: Machine<Action = A>>(&self) -> bool {
-        let first = self.actions().next();
-        first.is_some_and(|(action, _)| M::is_relative(action))
+        let first = self.actions().find_map(|(action, _)| M::is_relative(action));
+        first == Some(true)
     }
 
     /// Reads a script of this machine.
@@ -196,14 +206,7 @@ fn wait(words: &mut Words<'_>) -> Result<u32, DeviceError> {
 }
 
 fn unknown<M: Machine>(verb: Word<'_>) -> DeviceError {
-    let short = verb.short();
-    let lower = short.to_lowercase();
-    let nearest = M::VERBS
-        .iter()
-        .chain([&WAIT])
-        .min_by_key(|verb| strsim::levenshtein(&lower, verb))
-        .copied()
-        .unwrap_or_default();
-    let text = format!("there is no `{short}`; did you mean `{nearest}`?");
+    let nearest = verb.nearest(&[M::VERBS, &[WAIT]].concat());
+    let text = format!("there is no `{}`; did you mean `{nearest}`?", verb.short());
     DeviceError::syntax(verb.at, text).with_nearest(nearest)
 }

@@ -1,23 +1,30 @@
 //! The device's server: reacts to the events of its channel (M36).
 
+use std::time::Duration;
+
+use mom_client::event::Reason;
 use mom_client::{
-    Age, BASED_ON, Code, Delivery, Event, Family, FenceGate, HUB, Latch, Map, Parcel, Path, Reaction, Stale,
-    StateGate, Time, Value, WireError, event, to_value,
+    Age, BASED_ON, Delivery, Event, Family, FenceGate, HUB, Latch, Map, Parcel, Path, Reaction, StateGate,
+    Time, Value, event, to_value,
 };
 
 use crate::command::{Command, Order, Progress, QueueEvent, State};
+use crate::fresh::Freshness;
 use crate::pull::{NEXT, Pull};
 use crate::queue::CommandQueue;
+use crate::refusal::CommandRefusal;
 use crate::{Attachments, DeviceError, DeviceTime, ErrorName, Machine, Script};
 
 /// The message that carries a script.
-const COMMAND: &str = "command";
+pub const COMMAND: &str = "command";
 /// The message that tells how far a command has come (M42).
-const STATUS: &str = "status";
+pub const STATUS: &str = "status";
 /// The number of the newest stop that it has heard of, in its state.
 const STOP: &str = "stop";
-/// The message that tells the mount's state.
-pub(crate) const STATE: &str = "state";
+/// The message that tells the device's state.
+pub const STATE: &str = "state";
+/// ms within which it stands once it is to, in the state that who joins gets.
+const STOPS_WITHIN: &str = "stops-within";
 /// Why commands end at the hub's safe state.
 const SAFE: &str = "the hub ordered the safe state, because the token's owner lost it or gave it up";
 
@@ -32,6 +39,8 @@ const SAFE: &str = "the hub ordered the safe state, because the token's owner lo
 ///   change, a `status` is broadcast (M42).
 /// - Whenever the owner changes, for whatever reason, another token guards the channel, the hub sends `halt`, or the link is lost, all
 ///   commands end and the device stands at once: nothing of an old owner is ever under way when a command of the new one begins.
+///   Where owners hand over by agreement and the hub sends no `halt`, the present statement comes to its end in a device that says so
+///   ([`Machine::COMPLETES`]); what comes meanwhile is refused as `changing-hands`, and may be sent again.
 /// - The first motion of a new owner waits until the device rests ([`Machine::TOLERANCE`]), at most twice its stopping time and a second;
 ///   then it is refused as `changing-hands`.
 /// - Anybody's `stop` ends all commands too, and holds until an `unstop` that names it or a newer one ([`Latch`]). A gap in the events
@@ -57,16 +66,10 @@ pub struct DeviceServer<M: Machine> {
     commanded: u64,
     /// What it asks for, if it does.
     pull: Option<Pull>,
-}
-
-/// Why a command was refused.
-enum CommandRefusal {
-    /// The device's own reason.
-    Device(DeviceError),
-    /// The command was not sent by the token's present owner.
-    Stale(Stale),
-    /// The state that the command was based on is outdated or unknown, or it is no answer in time.
-    State(WireError),
+    /// Whether its owner has given the token away, and nobody has it yet.
+    handing_over: bool,
+    /// µs that a command may be old when it begins, whatever its sender says.
+    max_age: Option<DeviceTime>,
 }
 
 impl<M: Machine> DeviceServer<M> {
@@ -85,7 +88,23 @@ impl<M: Machine> DeviceServer<M> {
             fence: 0,
             commanded: 0,
             pull: None,
+            handing_over: false,
+            max_age: None,
         }
+    }
+
+    /// This server, for commands that are not older than this when they begin, whatever their senders say.
+    #[must_use]
+    pub fn with_max_age(mut self, max_age: Duration) -> Self {
+        self.max_age = Some(DeviceTime::try_from(max_age.as_micros()).unwrap_or(DeviceTime::MAX));
+        self
+    }
+
+    /// This server, for a device whose time passes so many times as fast as that of its users, as a simulated one's may.
+    #[must_use]
+    pub fn at_pace(mut self, pace: u32) -> Self {
+        self.queue = self.queue.at_pace(pace);
+        self
     }
 
     /// Says what it is called at the hub, so that it can stop itself there.
@@ -147,7 +166,7 @@ impl<M: Machine> DeviceServer<M> {
         match event {
             Event::Message(parcel) => self.handle_message(parcel, gate, age, now, out),
             Event::Joined(member) => {
-                let mut state = self.state_message(&self.queue.state());
+                let mut state = self.full_state();
                 state.address = Some(vec![member.peer.as_str().into()]);
                 out.push(state);
             }
@@ -158,7 +177,11 @@ impl<M: Machine> DeviceServer<M> {
                 self.tell_own_stop(out);
             }
             Event::Grabbed { fence, .. } => self.take_owner(*fence, now, out),
-            Event::Released { fence, .. } => self.end_older(fence.saturating_add(1), now, out),
+            Event::Released { fence, reason, .. } => {
+                let agreed = matches!(Reason::from_word(reason), Some(Reason::Given | Reason::Returned));
+                self.handing_over = M::COMPLETES && agreed;
+                self.end_older(fence.saturating_add(1), now, out);
+            }
             _ => {}
         }
     }
@@ -201,7 +224,7 @@ impl<M: Machine> DeviceServer<M> {
 
     /// Tells all members of the channel the state.
     pub fn report(&mut self, out: &mut Vec<Parcel>) {
-        out.push(self.state_message(&self.queue.state()));
+        out.push(self.full_state());
     }
 
     fn handle_message(
@@ -224,7 +247,7 @@ impl<M: Machine> DeviceServer<M> {
                     id: parcel.id,
                     fence: parcel.fence,
                 };
-                let passed = gate.check(parcel).map_err(CommandRefusal::Stale);
+                let passed = gate.check(parcel).map_err(CommandRefusal::from);
                 let obeyed = passed.and_then(|()| self.obey(order.clone(), parcel, age, now, out));
                 if let Err(refusal) = obeyed {
                     let refused = Progress {
@@ -328,10 +351,14 @@ impl<M: Machine> DeviceServer<M> {
             return Err(DeviceError::new(ErrorName::NoState, text).into());
         }
         let commanded = order.fence.unwrap_or(0);
+        let freshness = Freshness {
+            max_age: self.max_age,
+            pace: self.queue.pace(),
+        };
         let command = Command {
+            use_by: freshness.use_by(M::NAME, parcel, age, now)?,
             order,
             script,
-            use_by: use_by(parcel, age, now),
         };
         let mut taken = Ok(());
         self.act(out, |mount, events| taken = mount.submit(command, now, events));
@@ -352,7 +379,7 @@ impl<M: Machine> DeviceServer<M> {
         }
         let is_first = self.guard.replace(token).is_none();
         if !is_first {
-            (self.fence, self.commanded) = (0, 0);
+            (self.fence, self.commanded, self.handing_over) = (0, 0, false);
             self.halt("another token guards its channel from now on", now, out);
         }
     }
@@ -369,6 +396,7 @@ impl<M: Machine> DeviceServer<M> {
         }
         let before = out.len();
         self.end_older(fence, now, out);
+        self.handing_over = false;
         self.act(out, |queue, events| queue.change_hands(now, events));
         if !out[before..].iter().any(|parcel| parcel.name() == STATE) {
             self.report(out);
@@ -380,8 +408,13 @@ impl<M: Machine> DeviceServer<M> {
         // What was sent without a fence, before the channel was guarded, is older than any; the hub's own is the safe state of a change.
         let is_older = |order: &Order| order.fence.unwrap_or(0) < fence && &*order.peer != HUB;
         let is_left = !self.queue.is_busy() && !self.queue.is_at_rest() && self.commanded < fence;
-        if is_left || self.queue.orders().any(is_older) {
-            self.halt("the token changed hands", now, out);
+        if !is_left && !self.queue.orders().any(is_older) {
+            return;
+        }
+        let reason = "the token changed hands";
+        match self.handing_over {
+            true => self.act(out, |queue, events| queue.end_statement(now, reason, events)),
+            false => self.halt(reason, now, out),
         }
     }
 
@@ -419,6 +452,16 @@ impl<M: Machine> DeviceServer<M> {
         }
         let mut parcel = self.message(STATUS, content);
         parcel.reference = order.id;
+        parcel
+    }
+
+    /// The state with what never changes, for who has just come.
+    fn full_state(&mut self) -> Parcel {
+        let mut parcel = self.state_message(&self.queue.state());
+        if let Value::Map(mut content) = parcel.value() {
+            content.set(STOPS_WITHIN, M::STOPPING_TIME / 1000);
+            parcel = parcel.content(content);
+        }
         parcel
     }
 
@@ -491,95 +534,10 @@ fn script_of<M: Machine>(content: Option<&Value>) -> Result<(&str, Attachments),
     Ok((script, attachments))
 }
 
-/// Until when a command may begin; the hub's own is the safe state, which does not grow old.
-fn use_by(parcel: &Parcel, age: Option<Age>, now: DeviceTime) -> Option<DeviceTime> {
-    let expires = parcel.expires.filter(|_| parcel.sender.as_deref() != Some(HUB))?;
-    let life = DeviceTime::try_from(expires.saturating_mul(1000)).ok()?;
-    Some(now.saturating_add(life.saturating_sub(age.map_or(0, |age| age.micros))))
-}
-
 /// `{id?}`.
 fn id_map(order: &Order) -> Map {
     match order.id.and_then(|id| i64::try_from(id).ok()) {
         Some(id) => Map::new().with("id", id),
         None => Map::new(),
-    }
-}
-
-impl CommandRefusal {
-    /// A map of code word, number, plain words, and what else applies.
-    fn content(&self) -> Option<Value> {
-        match self {
-            CommandRefusal::Device(error) => to_value(error).ok(),
-            CommandRefusal::Stale(stale) => Some(stale_map(stale).into()),
-            CommandRefusal::State(error) => Some(error.to_map().into()),
-        }
-    }
-}
-
-impl From<DeviceError> for CommandRefusal {
-    fn from(error: DeviceError) -> Self {
-        CommandRefusal::Device(error)
-    }
-}
-
-impl From<WireError> for CommandRefusal {
-    fn from(error: WireError) -> Self {
-        CommandRefusal::State(error)
-    }
-}
-
-fn stale_map(stale: &Stale) -> Map {
-    let now = match &stale.owner {
-        Some(owner) => format!("{owner} owns its token now, with fence {}", stale.fence),
-        None => "nobody owns its token now".to_owned(),
-    };
-    let text = match stale.given {
-        Some(given) => format!("the command was sent under fence {given}, and {now}"),
-        None => format!("the command was sent without a fence, and {now}"),
-    };
-    let map = Map::new()
-        .with("name", Code::OLDER_FENCE.word())
-        .with("code", u32::from(Code::OLDER_FENCE.number()))
-        .with("text", text);
-    match &stale.owner {
-        Some(owner) => map.with("owner", owner.as_str()),
-        None => map,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_stale_command_is_refused_in_plain_words() {
-        for (given, owner, text) in [
-            (
-                Some(7),
-                Some("bob"),
-                "the command was sent under fence 7, and bob owns its token now, with fence 9",
-            ),
-            (
-                Some(9),
-                None,
-                "the command was sent under fence 9, and nobody owns its token now",
-            ),
-            (
-                None,
-                None,
-                "the command was sent without a fence, and nobody owns its token now",
-            ),
-        ] {
-            let stale = Stale {
-                name: COMMAND.to_owned(),
-                given,
-                fence: 9,
-                owner: owner.map(str::to_owned),
-            };
-            let map = stale_map(&stale);
-            assert_eq!(map.get("text").and_then(Value::as_str), Some(text));
-            assert_eq!(map.get("owner").and_then(Value::as_str), owner);
-        }
     }
 }

@@ -24,6 +24,14 @@ impl Word<'_> {
             false => short,
         }
     }
+
+    /// The one of some known words that needs the fewest letters changed; an empty one of none.
+    #[must_use]
+    pub fn nearest(&self, known: &[&'static str]) -> &'static str {
+        let lower = self.short().to_lowercase();
+        let nearest = known.iter().min_by_key(|word| strsim::levenshtein(&lower, word));
+        nearest.copied().unwrap_or_default()
+    }
 }
 
 /// The words of one statement that are still to be read.

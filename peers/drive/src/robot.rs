@@ -37,7 +37,7 @@ pub struct RobotState {
     /// Whether its controller is there; a robot that does not say so has no other.
     #[serde(default = "yes")]
     linked: bool,
-    /// The newest fence of its token under which it has stood.
+    /// The newest fence of its token that it has heard of.
     #[serde(default)]
     fence: Option<u64>,
 }
@@ -58,6 +58,11 @@ const fn yes() -> bool {
 }
 
 impl RobotState {
+    /// Whether it stands, and has heard that the token's owner has this fence.
+    fn stands_for(&self, fence: u64) -> bool {
+        !self.moving && self.fence.is_some_and(|known| known >= fence)
+    }
+
     /// Whether it takes commands of the owner with this fence; one that knows no fence does so at once.
     #[must_use]
     pub fn is_under(&self, fence: u64) -> bool {
@@ -171,7 +176,11 @@ impl Robot {
             match Trouble::of(&error) {
                 Trouble::Pose => return Ok(CommandEnd::Refused(refusal(&error).text)),
                 Trouble::ChangingHands => {
-                    while self.state.as_ref().and_then(|state| state.fence) < Some(self.fence) {
+                    while !self
+                        .state
+                        .as_ref()
+                        .is_some_and(|state| state.stands_for(self.fence))
+                    {
                         self.next().await?;
                     }
                 }

@@ -1,10 +1,12 @@
 //! What a robot does, and what its driver hears, when the token goes to another: a real broker, arm and command line.
 
 use std::process::Stdio;
+use std::time::Duration;
 
-use mom_arm::{ArmOptions, ArmState, CommandState, Status, peer};
+use mom_arm::{ArmOptions, CommandState, Status, peer};
 use mom_broker::{Broker, Config};
-use mom_client::{Client, ClientError, Event, Events, Map, Value, from_value};
+use mom_client::{Client, ClientError, Code, Event, Events, Map, from_value};
+use mom_tests::faulty::{Fault, FaultyNetwork};
 use mom_tests::lab;
 use mom_tests::programs::{PATIENCE, program, text};
 use tokio::io::AsyncWriteExt as _;
@@ -157,11 +159,10 @@ async fn a_declared_safe_state_is_obeyed() {
     lab.end().await;
 }
 
-/// While the safe state moves the arm, the next owner's commands are refused, to be sent again when the arm stands; `mom run` does
-/// so by itself.
+/// While the safe state moves the arm, the next owner's command waits; it begins when the arm rests after it.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_next_owner_waits_until_the_arm_stands() {
-    let lab = Lab::start_with(|config| declare_safe(config, "wait 8000")).await;
+    let lab = Lab::start_with(|config| declare_safe(config, "wait 3000")).await;
     let alice = log_in(&lab.broker, "alice").await;
     let channel = alice.channel("/robot/arm").await.expect("people may");
     let mut events = channel.events();
@@ -180,17 +181,22 @@ async fn the_next_owner_waits_until_the_arm_stands() {
     let of_bob = |state: CommandState| {
         move |event: &Event| status(event).filter(|status| status.peer == "bob" && status.state == state)
     };
-    let refused = next(&mut events, "a refusal", of_bob(CommandState::Error)).await;
-    let error = refused.error.expect("why");
-    assert_eq!(error.get("name").and_then(Value::as_str), Some("changing-hands"));
-    assert_eq!(error.get("retry"), Some(&Value::Bool(true)));
-    let stands = |event: &Event| match event {
-        Event::Message(parcel) if parcel.name() == "state" => {
-            from_value::<ArmState>(parcel.value()).ok()?.fence
-        }
-        _ => None,
+    next(&mut events, "his command", of_bob(CommandState::Waiting)).await;
+    let first = |event: &Event| {
+        let status = status(event)?;
+        let begins = status.peer == "bob" && status.state == CommandState::Executing;
+        let is_safe = status.peer == "hub" && status.state == CommandState::Finished;
+        (begins || is_safe).then_some(status.peer)
     };
-    next(&mut events, "the word that it stands", stands).await;
+    assert_eq!(next(&mut events, "the end of the safe state", first).await, "hub");
+    let rests = |event: &Event| match event {
+        Event::Message(parcel) if parcel.name() == "state" => {
+            let rest = parcel.value().get("rest").cloned();
+            rest.map(|_| "rest".to_owned())
+        }
+        event => first(event),
+    };
+    assert_eq!(next(&mut events, "the word that it rests", rests).await, "rest");
     next(&mut events, "its end", of_bob(CommandState::Finished)).await;
     let output = timeout(PATIENCE, running.wait_with_output()).await;
     let output = output.expect("it ends").expect("it ran");
@@ -246,5 +252,58 @@ async fn who_loses_the_robot_hears_who_took_it() {
         assert!(said.contains(words), "{said}");
         guard.release().await.expect("hers");
     }
+    lab.end().await;
+}
+
+/// What stood in an uplink that froze, and was not lost, follows no stop that was lifted meanwhile: who said it did not see the stop.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_was_said_before_a_stop_does_not_follow_its_unstop() {
+    let lab = Lab::start_with(|config| config.limits.gone = 30_000).await;
+    let network = FaultyNetwork::to(lab.broker.local_addr(), |_| Fault::default()).await;
+    let alice = Client::builder(format!("bin://{}", network.address))
+        .user("alice")
+        .password("alice")
+        .heartbeat(Duration::from_secs(10))
+        .connect();
+    let alice = alice.await.expect("a user of the lab");
+    let bob = log_in(&lab.broker, "bob").await;
+    let token = alice.token(TOKEN).await.expect("people may");
+    let _guard = token.grab().await.expect("free");
+    let channel = alice.channel("/robot/arm").await.expect("people may");
+    let (mut events, mut heard) = (
+        channel.events(),
+        bob.channel("/robot/arm").await.expect("people may").events(),
+    );
+    // Until the hub knows her clock, no message of hers has an age.
+    let measured = |event: &Event| match event {
+        Event::Message(parcel) if parcel.name() == "note" => Some(parcel.age_error.is_some()),
+        _ => None,
+    };
+    loop {
+        channel.send("note", "here").await.expect("the link is up");
+        if next(&mut heard, "her note", measured).await {
+            break;
+        }
+    }
+
+    network.freeze(true);
+    channel.send("command", SCRIPT).await.expect("it is on its way");
+    let stopped = bob.stop("/robot/arm").send().await.expect("people may");
+    assert_eq!(stopped.channels.len(), 1, "{stopped:?}");
+    let number = bob.stops("/robot/arm").await.expect("it is there").number;
+    let path = channel.path().clone();
+    let unstop = bob.unstop("/robot/arm", [(&path, number)]);
+    unstop.send().await.expect("people may");
+    network.freeze(false);
+    let refused = |event: &Event| match event {
+        Event::Refused(error, _) => Some(error.code.clone()),
+        event => status(event).map(|status| panic!("{status:?}")),
+    };
+    let refused = next(&mut events, "its refusal", refused).await;
+    assert_eq!(refused, Code::TOO_LATE);
+    // What she says now is meant for now.
+    channel.send("command", SCRIPT).await.expect("the link is up");
+    next(&mut events, "its first statement", executing).await;
+    drop(alice);
     lab.end().await;
 }

@@ -144,6 +144,7 @@ const ARROWS: &[(&str, May)] = &[
             "mom-broker",
             "mom-arm",
             "mom-camera",
+            "mom-device",
             "mom-drive",
             "mom-calibrate",
             "mom-model",

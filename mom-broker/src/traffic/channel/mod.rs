@@ -403,6 +403,7 @@ pub(crate) mod tests {
             overflow: mom_proto::Overflow::default(),
             keep: None,
             awaited: false,
+            lifted: None,
         }
     }
 

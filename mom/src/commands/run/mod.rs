@@ -5,11 +5,12 @@ mod script;
 
 use std::time::Duration;
 
-use mom_arm::{ArmState, CommandState, ErrorName, Pose, Script, Status, arm, rapid};
+use mom_arm::{ArmState, CommandState, Pose, Script, Status, arm, rapid};
 use mom_client::{
     BASED_ON, Channel, Client, Event, Events, Family, Lost, Parcel, Path, Token, TokenGuard, Value,
     from_value,
 };
+use mom_device::ErrorName;
 use serde_json::json;
 use tokio::time::{Instant, sleep, timeout_at};
 
@@ -340,6 +341,7 @@ impl Job {
                 && let Ok(state) = from_value::<ArmState>(parcel.value())
                 && state.fence.is_some_and(|fence| fence >= self.fence)
                 && state.linked
+                && !state.moving
             {
                 self.see(&event);
                 return Ok(());

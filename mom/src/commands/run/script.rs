@@ -56,7 +56,7 @@ pub(super) fn check(file: &str, commands: &[ScriptLine]) -> Result<(), Failure> 
         .iter()
         .filter_map(|command| {
             let error = command.text.parse::<Script>().err()?;
-            let column = command.indent + error.column().map_or(1, |column| column as usize);
+            let column = command.indent + error.place().map_or(1, |(_, column)| column as usize);
             Some(format!("{file}:{}:{column}: {error}", command.line))
         })
         .collect();

@@ -1,5 +1,6 @@
 //! Properties of the arm for any commands and any timing of its driver.
 
+use mom_device::Machine;
 use proptest::prelude::*;
 
 use super::tests::{run, told};
@@ -132,13 +133,13 @@ proptest! {
                         now = due;
                         arm.advance(now, &mut events);
                         let after = (now, arm.state());
-                        check_step(&before, &after, !arm.controller.is_unsettled())?;
+                        check_step(&before, &after, !arm.queue.machine().is_changing())?;
                         before = after;
                     }
                 }
             }
             let after = (now, arm.state());
-            check_step(&before, &after, !arm.controller.is_unsettled())?;
+            check_step(&before, &after, !arm.queue.machine().is_changing())?;
             before = after;
         }
         let mut ended: Vec<u64> = events.iter().filter_map(|event| match event {

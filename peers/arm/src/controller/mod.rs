@@ -7,10 +7,10 @@
 use std::fmt;
 
 use crate::blocks::Block;
-use crate::error::{ArmError, ErrorName};
 use crate::motion::{ArmTime, Posture};
 use crate::pose::Pose;
 use crate::script::Grip;
+use mom_device::{DeviceError, ErrorName};
 
 mod link;
 mod simulated;
@@ -41,7 +41,7 @@ pub enum Progress {
     /// It was done at this time, which is not later than the time asked for. One that is told early is waited for where the instruction says how long it takes.
     Done(ArmTime),
     /// It ended early, at this time, and the arm stands where that happened.
-    Failed(ArmTime, ArmError),
+    Failed(ArmTime, DeviceError),
 }
 
 /// What a controller knows of the machine.
@@ -63,14 +63,15 @@ pub struct Reading {
 /// use mom_arm::arm::{Arm, HOME};
 /// use mom_arm::controller::{Controller, Instruction, Progress, Reading};
 /// use mom_arm::motion::{ArmTime, Posture};
-/// use mom_arm::{ArmError, Grip};
+/// use mom_arm::Grip;
+/// use mom_device::DeviceError;
 ///
 /// /// A machine that is there at once, and keeps a list of what it was told.
 /// #[derive(Debug, Default)]
 /// struct Recorder { told: Vec<Instruction>, at: Option<Posture> }
 ///
 /// impl Controller for Recorder {
-///     fn begin(&mut self, instruction: &Instruction, _now: ArmTime) -> Result<(), ArmError> {
+///     fn begin(&mut self, instruction: &Instruction, _now: ArmTime) -> Result<(), DeviceError> {
 ///         self.told.push(*instruction);
 ///         if let Instruction::Move(pose) = instruction {
 ///             self.at = Some(Posture { pose: *pose, opening: 80.0 });
@@ -89,7 +90,7 @@ pub struct Reading {
 /// let mut arm = Arm::with_controller(0, Box::new(Recorder::default()));
 /// arm.submit(1, "move 100 50 200 0 0", 0, &mut Vec::new())?;
 /// assert_eq!(arm.state().pose.x, 100.0);
-/// # Ok::<(), ArmError>(())
+/// # Ok::<(), DeviceError>(())
 /// ```
 pub trait Controller: fmt::Debug + Send {
     /// Begins an instruction; the one before it has ended.
@@ -97,7 +98,7 @@ pub trait Controller: fmt::Debug + Send {
     /// # Errors
     ///
     /// Why it cannot begin, such as [`ErrorName::Link`]. Then nothing moves.
-    fn begin(&mut self, instruction: &Instruction, now: ArmTime) -> Result<(), ArmError>;
+    fn begin(&mut self, instruction: &Instruction, now: ArmTime) -> Result<(), DeviceError>;
 
     /// Lets time pass until `now`, or until the instruction ends, if that is earlier. Where none is being carried out, the answer does not count.
     fn advance(&mut self, now: ArmTime) -> Progress;
@@ -110,6 +111,11 @@ pub trait Controller: fmt::Debug + Send {
 
     /// What it knows of the machine now; the last that it knew, while the link is down.
     fn reading(&self) -> Reading;
+
+    /// Where the hand is, and how far the jaws are open, of what it knows.
+    fn posture(&self) -> Posture {
+        self.reading().posture
+    }
 
     /// Whether anything moves by itself without an instruction, such as a block that falls.
     fn is_unsettled(&self) -> bool {
@@ -126,9 +132,9 @@ pub trait Controller: fmt::Debug + Send {
     /// # Errors
     ///
     /// That this cannot be done; only a simulated one can.
-    fn reset(&mut self, _now: ArmTime) -> Result<(), ArmError> {
+    fn reset(&mut self, _now: ArmTime) -> Result<(), DeviceError> {
         let text =
             "only the simulated arm can be put back by `reset`; use `home`, and put the blocks back by hand";
-        Err(ArmError::new(ErrorName::Syntax, text))
+        Err(DeviceError::new(ErrorName::Syntax, text))
     }
 }

@@ -4,9 +4,9 @@
 use crate::arm::HOME;
 use crate::blocks::{Block, Blocks};
 use crate::contact::{self, Way};
-use crate::error::{ArmError, ErrorName};
 use crate::motion::{ArmTime, Leg, MAX_OPENING, Posture};
 use crate::script::Grip;
+use mom_device::{DeviceError, ErrorName};
 
 use super::link::LinkFault;
 use super::{Controller, Instruction, Progress, Reading};
@@ -115,7 +115,7 @@ impl Simulated {
     }
 
     /// Moves all to this time. After an error the hand is where nothing is touched yet.
-    fn tick(&mut self, time: ArmTime) -> Result<(), ArmError> {
+    fn tick(&mut self, time: ArmTime) -> Result<(), DeviceError> {
         let seconds = (time - self.ticked).max(0) as f64 / 1e6;
         // Where it was at the last tick, whoever has looked since.
         self.take_posture(self.ticked);
@@ -135,7 +135,7 @@ impl Simulated {
     }
 
     /// Pushes aside what yields.
-    fn meet(&mut self, grasping: Option<usize>) -> Result<(), ArmError> {
+    fn meet(&mut self, grasping: Option<usize>) -> Result<(), DeviceError> {
         if let Some(index) = grasping {
             self.blocks.square(index, &self.posture, contact::FINGER_LENGTH);
         }
@@ -224,7 +224,7 @@ impl Simulated {
 }
 
 impl Controller for Simulated {
-    fn begin(&mut self, instruction: &Instruction, now: ArmTime) -> Result<(), ArmError> {
+    fn begin(&mut self, instruction: &Instruction, now: ArmTime) -> Result<(), DeviceError> {
         if !self.is_linked() {
             return Err(link_error("the controller cannot be reached"));
         }
@@ -296,6 +296,11 @@ impl Controller for Simulated {
         self.lost.clone().unwrap_or_else(|| self.own_reading())
     }
 
+    // Often asked: without copies of all blocks.
+    fn posture(&self) -> Posture {
+        self.lost.as_ref().map_or(self.posture, |lost| lost.posture)
+    }
+
     fn is_unsettled(&self) -> bool {
         !self.settled && self.is_linked()
     }
@@ -304,7 +309,7 @@ impl Controller for Simulated {
         self.lost.is_none()
     }
 
-    fn reset(&mut self, now: ArmTime) -> Result<(), ArmError> {
+    fn reset(&mut self, now: ArmTime) -> Result<(), DeviceError> {
         if !self.is_linked() {
             return Err(link_error("the controller cannot be reached"));
         }
@@ -325,10 +330,10 @@ impl Controller for Simulated {
 }
 
 /// The link between program and controller is down (M53).
-fn link_error(what: &str) -> ArmError {
+fn link_error(what: &str) -> DeviceError {
     let text = format!(
         "{what}; it halts by itself within {} ms, and where it stands is told when the link is back",
         WATCHDOG / 1000
     );
-    ArmError::new(ErrorName::Link, text)
+    DeviceError::new(ErrorName::Link, text)
 }

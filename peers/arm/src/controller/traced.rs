@@ -1,9 +1,9 @@
 //! A simulated controller whose hand's way is written into a file.
 
+use mom_device::DeviceError;
 use mom_trace::Trace;
 
-use super::{Controller, Instruction, Progress, Reading, Simulated};
-use crate::error::ArmError;
+use super::{Controller, Instruction, Posture, Progress, Reading, Simulated};
 use crate::motion::ArmTime;
 
 /// A simulated controller that writes where its hand is: x, y and z in mm, and how far the jaws are open.
@@ -32,7 +32,7 @@ impl Traced {
 }
 
 impl Controller for Traced {
-    fn begin(&mut self, instruction: &Instruction, now: ArmTime) -> Result<(), ArmError> {
+    fn begin(&mut self, instruction: &Instruction, now: ArmTime) -> Result<(), DeviceError> {
         self.trace(now);
         self.controller.begin(instruction, now)
     }
@@ -55,6 +55,10 @@ impl Controller for Traced {
         self.controller.reading()
     }
 
+    fn posture(&self) -> Posture {
+        self.controller.posture()
+    }
+
     fn is_unsettled(&self) -> bool {
         self.controller.is_unsettled()
     }
@@ -63,7 +67,7 @@ impl Controller for Traced {
         self.controller.is_linked()
     }
 
-    fn reset(&mut self, now: ArmTime) -> Result<(), ArmError> {
+    fn reset(&mut self, now: ArmTime) -> Result<(), DeviceError> {
         self.trace(now);
         self.controller.reset(now)
     }

@@ -8,8 +8,8 @@
 //! With the hand upright every pose of the workspace can be held; a tilted hand not everywhere, as with the real arm.
 //! The shoulder's singularity, the wrist above the axis of joint 1, lies outside the workspace.
 
-use crate::error::{ArmError, ErrorName};
 use crate::pose::{Pose, Xyz, along};
+use mom_device::{DeviceError, ErrorName};
 
 mod irb1400;
 #[cfg(test)]
@@ -34,7 +34,7 @@ const MOST_CHANGE: f64 = 60.0;
 /// # Errors
 ///
 /// [`ErrorName::JointLimit`] where no joints can hold the pose because it is too far or too near.
-pub fn joints(pose: &Pose) -> Result<Joints, ArmError> {
+pub fn joints(pose: &Pose) -> Result<Joints, DeviceError> {
     let at_home = |joints: &Joints| joints[0].abs() < 90.0 && elbow(joints) >= 0.0 && joints[4] >= 0.0;
     let mut joints = irb1400::solutions(pose)
         .into_iter()
@@ -52,13 +52,14 @@ pub fn joints(pose: &Pose) -> Result<Joints, ArmError> {
 /// [`ErrorName::JointLimit`] with the joint, its angle and its limits, or [`ErrorName::Singularity`].
 ///
 /// ```
-/// use mom_arm::{ErrorName, Pose, reach};
+/// use mom_arm::{Pose, reach};
+/// use mom_device::ErrorName;
 ///
 /// assert!(reach::check(&Pose::new(300.0, 300.0, 0.0, 0.0, 0.0)).is_ok());
 /// let leaning_back = Pose::new(300.0, 0.0, 450.0, 90.0, 45.0);
 /// assert_eq!(reach::check(&leaning_back).unwrap_err().name(), ErrorName::JointLimit);
 /// ```
-pub fn check(pose: &Pose) -> Result<(), ArmError> {
+pub fn check(pose: &Pose) -> Result<(), DeviceError> {
     allow(&joints(pose)?)
 }
 
@@ -66,14 +67,14 @@ pub fn check(pose: &Pose) -> Result<(), ArmError> {
 ///
 /// # Errors
 ///
-/// As [`check`], for the first pose on the way that the joints cannot hold. [`ArmError::reachable`] is how far
+/// As [`check`], for the first pose on the way that the joints cannot hold. [`DeviceError::reachable`] is how far
 /// the hand could go on this way.
-pub fn check_leg(from: &Pose, to: &Pose) -> Result<(), ArmError> {
+pub fn check_leg(from: &Pose, to: &Pose) -> Result<(), DeviceError> {
     walk(from, to, |_| ())
 }
 
 /// Goes along a straight leg in small steps and shows the joints of each.
-fn walk(from: &Pose, to: &Pose, mut visit: impl FnMut(&Joints)) -> Result<(), ArmError> {
+fn walk(from: &Pose, to: &Pose, mut visit: impl FnMut(&Joints)) -> Result<(), DeviceError> {
     let steps = (from.distance(to) / STEP)
         .max(from.turn(to) / TURN_STEP)
         .ceil()
@@ -87,7 +88,7 @@ fn walk(from: &Pose, to: &Pose, mut visit: impl FnMut(&Joints)) -> Result<(), Ar
             Ok(joints) => last = joints,
             Err(error) => {
                 let reachable = furthest(from, to, [(step - 1.0) / steps, step / steps], &last);
-                return Err(error.with_way_to(reachable));
+                return Err(with_way_to(error, reachable));
             }
         }
         visit(&last);
@@ -96,8 +97,15 @@ fn walk(from: &Pose, to: &Pose, mut visit: impl FnMut(&Joints)) -> Result<(), Ar
     Ok(())
 }
 
+/// The error, with the pose as far as which the hand could go; also in words.
+fn with_way_to(error: DeviceError, pose: Pose) -> DeviceError {
+    let Pose { x, y, z, spin, tilt } = pose;
+    let text = format!("{error}; on this way the hand can go as far as {x} {y} {z} {spin} {tilt}");
+    error.in_words(text).with_reachable(pose)
+}
+
 /// The allowed joints that hold the pose and are nearest to the last ones.
-fn follow(pose: &Pose, last: &Joints) -> Result<Joints, ArmError> {
+fn follow(pose: &Pose, last: &Joints) -> Result<Joints, DeviceError> {
     let change =
         |joints: &Joints| -> f64 { joints.iter().zip(last).map(|(new, old)| (new - old).abs()).sum() };
     let joints = irb1400::solutions(pose)
@@ -114,7 +122,7 @@ fn follow(pose: &Pose, last: &Joints) -> Result<Joints, ArmError> {
     for (number, (new, old)) in (1..).zip(joints.iter().zip(last)) {
         if (new - old).abs() > MOST_CHANGE {
             let text = format!("joint {number} would jump from {old:.0} to {new:.0} degrees on the way");
-            return Err(ArmError::new(ErrorName::Singularity, text));
+            return Err(DeviceError::new(ErrorName::Singularity, text));
         }
     }
     Ok(joints)
@@ -154,14 +162,14 @@ fn in_tenths(pose: &Pose) -> Pose {
 }
 
 /// Checks the joints against singularities and limits.
-fn allow(joints: &Joints) -> Result<(), ArmError> {
+fn allow(joints: &Joints) -> Result<(), DeviceError> {
     let straight = elbow(joints);
     if straight < SINGULAR {
         let text = format!(
             "the upper arm and the forearm would line up ({straight:.1} degrees between them, at least {SINGULAR} \
              are needed); come nearer to the arm"
         );
-        return Err(ArmError::new(ErrorName::Singularity, text));
+        return Err(DeviceError::new(ErrorName::Singularity, text));
     }
     if joints[4].abs() < SINGULAR {
         let text = format!(
@@ -169,13 +177,13 @@ fn allow(joints: &Joints) -> Result<(), ArmError> {
              choose another tilt",
             joints[4]
         );
-        return Err(ArmError::new(ErrorName::Singularity, text));
+        return Err(DeviceError::new(ErrorName::Singularity, text));
     }
     for (number, (angle, [low, high])) in (1..).zip(joints.iter().zip(LIMITS)) {
         if !(low..=high).contains(angle) {
             let text =
                 format!("joint {number} would be at {angle:.1} degrees, but it turns from {low} to {high}");
-            return Err(ArmError::new(ErrorName::JointLimit, text));
+            return Err(DeviceError::new(ErrorName::JointLimit, text));
         }
     }
     Ok(())
@@ -192,7 +200,7 @@ fn nearest_turn(angle: f64, near: f64) -> f64 {
     angle + ((near - angle) / 360.0).round() * 360.0
 }
 
-fn out_of_reach(pose: &Pose) -> ArmError {
+fn out_of_reach(pose: &Pose) -> DeviceError {
     let wrist = along(pose.position(), pose.frame().approach, -GRIPPER - FLANGE);
     let [x, y, z]: Xyz = std::array::from_fn(|axis| wrist[axis] - FOOT[axis]);
     let far = (x.hypot(y) - SHOULDER_FORWARD).hypot(z - SHOULDER_HEIGHT);
@@ -201,5 +209,5 @@ fn out_of_reach(pose: &Pose) -> ArmError {
     let text = format!(
         "the wrist would be {far:.0} mm from the shoulder, but the arm reaches from {nearest:.0} to {furthest:.0} mm"
     );
-    ArmError::new(ErrorName::JointLimit, text)
+    DeviceError::new(ErrorName::JointLimit, text)
 }

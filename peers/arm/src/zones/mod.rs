@@ -11,14 +11,16 @@ use std::fmt;
 use std::str::FromStr;
 
 use mom_client::{Map, Path, Value};
+use mom_device::{DeviceError, ErrorName};
 
-use crate::error::{ArmError, ErrorName};
 use crate::pose::{Pose, Xyz};
 
+mod keeper;
 mod shape;
 #[cfg(test)]
 mod tests;
 
+pub use keeper::{ZoneKeeper, ZoneNews};
 use shape::parts;
 pub use shape::{FOREARM_RADIUS, HAND_RADIUS, ZoneBox};
 
@@ -235,7 +237,7 @@ impl Closed {
     /// # Errors
     ///
     /// [`ErrorName::ZoneNotOwned`] that names the first of them, and its owner.
-    pub fn check_leg(&self, from: &Pose, to: &Pose) -> Result<(), ArmError> {
+    pub fn check_leg(&self, from: &Pose, to: &Pose) -> Result<(), DeviceError> {
         if self.zones.is_empty() {
             return Ok(());
         }
@@ -256,7 +258,7 @@ impl Closed {
     /// # Errors
     ///
     /// As [`Closed::check_leg`].
-    pub fn check(&self, pose: &Pose) -> Result<(), ArmError> {
+    pub fn check(&self, pose: &Pose) -> Result<(), DeviceError> {
         let unknown = self.zones.iter().find(|zone| zone.bounds.is_none());
         let parts = parts(&self.mount, pose);
         // Where no joints can hold the pose nobody knows where the arm's parts are: they may be in each.
@@ -282,7 +284,7 @@ impl ClosedZone {
         })
     }
 
-    fn refusal(&self, at: &Pose, commander: Option<&str>) -> ArmError {
+    fn refusal(&self, at: &Pose, commander: Option<&str>) -> DeviceError {
         let Pose { x, y, z, .. } = at;
         let name = &self.name;
         let text = match (&self.bounds, commander, &self.owner) {
@@ -302,7 +304,7 @@ impl ClosedZone {
                 "at {x:.0} {y:.0} {z:.0} the arm is in the zone {name}, which {commander} does not own; nobody does, so grab it first"
             ),
         };
-        let error = ArmError::new(ErrorName::ZoneNotOwned, text);
+        let error = DeviceError::new(ErrorName::ZoneNotOwned, text);
         match self.bounds {
             None if !self.gone => error.with_retry(),
             _ => error,

@@ -141,8 +141,8 @@ impl Machine for Mount {
         })
     }
 
-    fn is_relative(action: &MountAction) -> bool {
-        matches!(action, MountAction::By(_))
+    fn is_relative(action: &MountAction) -> Option<bool> {
+        Some(matches!(action, MountAction::By(_)))
     }
 
     fn is_moving(&self) -> bool {

@@ -2,9 +2,11 @@
 
 use std::time::Duration;
 
-use super::tests::Stage;
-use crate::arm::Arm;
+use super::stage::Stage;
+use super::stage::lab;
 use crate::controller::{LinkFault, Simulated};
+use crate::machine::ArmMachine;
+use crate::zones::Zones;
 
 /// A command that waits behind another grows old, by its sender's word or by the arm's.
 #[test]
@@ -27,7 +29,7 @@ fn a_command_that_has_grown_old_is_not_begun() {
         "{heard:?}"
     );
 
-    let mut stage = Stage::with(Arm::new(0), |server| {
+    let mut stage = Stage::with(lab(), Zones::default(), |server| {
         server.with_max_age(Duration::from_millis(500))
     });
     for (age, want) in [
@@ -59,7 +61,11 @@ fn an_arm_out_of_reach_does_not_say_that_it_stands() {
         lasting: 2_000_000,
     };
     let controller = Simulated::new(0, []).failing(fault);
-    let mut stage = Stage::with(Arm::with_controller(0, Box::new(controller)), |server| server);
+    let mut stage = Stage::with(
+        ArmMachine::new(Box::new(controller)),
+        Zones::default(),
+        |server| server,
+    );
     stage.act("alice command 1 5: move 300 0 300 0 0");
     stage.heard();
     stage.act("after 1500");
@@ -70,18 +76,23 @@ fn an_arm_out_of_reach_does_not_say_that_it_stands() {
             .any(|line| line.starts_with("status alice/1 error 1/1 link")),
         "{heard:?}"
     );
+    let stands = |line: &String| line.starts_with("state") && !line.contains("moving");
     assert!(
-        !heard.iter().any(|line| line.starts_with("state")),
+        !heard.iter().any(stands),
         "nobody knows whether it stands: {heard:?}"
     );
     stage.act("alice command 2 5: home");
+    assert_eq!(stage.heard(), ["status alice/2 error 0/0 link 5003"]);
     stage.act("carol stop");
     stage.act("grabbed 6");
-    let heard = stage.heard();
-    assert_eq!(heard.len(), 1, "{heard:?}");
-    assert!(heard[0].starts_with("status alice/2 error 0/0 link"), "{heard:?}");
-    stage.act("after 1500");
-    assert_eq!(stage.heard(), ["state stopped, fence 6"]);
+    assert_eq!(
+        stage.heard(),
+        ["state stopped moving", "state stopped moving, fence 6"]
+    );
+    stage.act("after 1099");
+    assert_eq!(stage.heard(), Vec::<String>::new());
+    stage.act("after 350");
+    assert_eq!(stage.heard(), ["state stopped moving", "state stopped at rest"]);
     stage.act("carol unstop");
     stage.act("bob command 3 6: wait 5");
     stage.act("after 100");
@@ -107,7 +118,7 @@ fn a_relative_command_names_the_state_that_it_is_based_on() {
         ),
         ("after 1000", "status alice/2 executing 2/2"),
         (
-            "alice command 3 5 on before: by 10 0 0 0 0",
+            "alice command 3 5 on first: by 10 0 0 0 0",
             "status alice/3 error 0/0 stale-state",
         ),
         // From a place that it names itself it may go on from there.

@@ -2,7 +2,7 @@
 
 use mom_client::Value;
 
-use super::tests::Stage;
+use super::stage::Stage;
 
 #[test]
 fn it_is_freed_by_the_number_of_its_newest_stop_only() {
@@ -53,11 +53,13 @@ fn a_stopped_arm_says_when_it_rests() {
         let last = states.last().map(|parcel| parcel.value());
         last.map(|state| (state.get("reached").cloned(), state.get("rest").cloned()))
     };
+    stage.act("alice command 1 5: move 300 0 300 0 0");
+    stage.pass(500);
     stage.act("bob stop 7");
     assert_eq!(rests(&mut stage), Some((Some(true.into()), None)));
     stage.pass(299);
-    assert_eq!(rests(&mut stage), None);
-    stage.pass(100);
+    assert_eq!(rests(&mut stage), Some((Some(true.into()), None)));
+    stage.pass(51);
     assert_eq!(
         rests(&mut stage),
         Some((Some(true.into()), Some("measured".into())))

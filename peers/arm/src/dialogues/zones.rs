@@ -1,8 +1,10 @@
 //! Zones (M40): what is under way in one ends with its ownership, and nobody gets one in which the arm stands.
 
-use super::tests::Stage;
-use super::*;
-use crate::zones::{Mount, Zones};
+use super::stage::Stage;
+use mom_client::{Map, Path, Value};
+
+use super::stage::lab;
+use crate::zones::{Mount, ZoneNews, Zones};
 
 /// What a line `zone …` of a dialogue tells.
 pub(super) fn news(words: &[&str]) -> ZoneNews {
@@ -37,9 +39,7 @@ pub(super) fn news(words: &[&str]) -> ZoneNews {
 
 /// An arm with a zone at the right that alice owns.
 fn stage() -> Stage {
-    let mut stage = Stage::with(Arm::new(0), |server| {
-        server.in_zones(Zones::new(Mount::default()))
-    });
+    let mut stage = Stage::with(lab(), Zones::new(Mount::default()), |server| server);
     for line in [
         "zone right",
         "zone right from 150 to 300",
@@ -77,6 +77,7 @@ fn no_leg_leads_through_a_zone_of_another() {
                     "state free",
                     "state free",
                     "status bob/2 finished 2/2",
+                    "state free at rest",
                 ],
             ),
             // Through the corner of the way, although neither end is in it.
@@ -90,7 +91,12 @@ fn no_leg_leads_through_a_zone_of_another() {
             ),
             (
                 "after 900",
-                &["state free", "status bob/4 error 1/1 zone-not-owned 5109"],
+                &[
+                    "state free moving",
+                    "status bob/4 error 1/1 zone-not-owned 5109",
+                    "state free moving",
+                    "state free at rest",
+                ],
             ),
         ],
     );
@@ -114,7 +120,10 @@ fn what_is_under_way_in_a_zone_ends_when_it_is_lost() {
                 ("after 100", &[]),
                 (
                     lost,
-                    &["state free", "status alice/1 error 1/2 zone-not-owned 5109"],
+                    &[
+                        "state free moving",
+                        "status alice/1 error 1/2 zone-not-owned 5109",
+                    ],
                 ),
             ],
         );
@@ -128,7 +137,10 @@ fn what_is_under_way_in_a_zone_ends_when_it_is_lost() {
                 &["status alice/1 waiting 0/1", "status alice/1 executing 1/1"],
             ),
             ("zone right released 1", &[]),
-            ("after 2000", &["state free", "status alice/1 finished 1/1"]),
+            (
+                "after 2000",
+                &["state free", "status alice/1 finished 1/1", "state free at rest"],
+            ),
         ],
     );
 }
@@ -162,7 +174,7 @@ fn nobody_but_the_commander_is_granted_the_zone_where_the_arm_stands() {
                 &[
                     "status alice/2 waiting 0/1",
                     "status alice/2 executing 1/1",
-                    "state free",
+                    "state free moving",
                     "status alice/2 error 1/1 zone-not-owned 5109",
                 ],
             ),
@@ -191,7 +203,10 @@ fn the_commander_is_whoever_owns_the_token_now() {
             ),
             (
                 "grabbed 6",
-                &["state free, fence 6", "status alice/1 error 1/2 halted 5101"],
+                &[
+                    "state free moving, fence 6",
+                    "status alice/1 error 1/2 halted 5101",
+                ],
             ),
             (
                 "bob command 1 6: move 200 0 300 0 0",

@@ -1,12 +1,17 @@
 //! The hand-over interlock over random changes of the owner, with the link lost at any moment of them: no statement of an older
-//! owner begins after a change, and none of the new one before the arm has said that it stands.
+//! owner begins after a change, and none of the new one before the arm has said that it rests.
 
 use std::collections::BTreeMap;
 
 use proptest::prelude::*;
 
-use super::tests::{Stage, check};
-use super::*;
+use super::stage::{Stage, check};
+use mom_client::{Parcel, Value};
+use mom_device::STATE;
+
+use crate::motion::ArmTime;
+use crate::state::CommandState;
+use crate::status::Status;
 
 /// How the owner changes.
 #[derive(Clone, Copy, Debug)]
@@ -65,8 +70,8 @@ fn step() -> impl Strategy<Value = Step> {
 struct Witness {
     /// The newest fence that the arm has heard of, before what it says next.
     fence: u64,
-    /// The newest one of a state at rest.
-    stood: u64,
+    /// The newest one of a state that tells of rest.
+    rested: u64,
     /// Of each command that was taken: the last statement that has begun, and whether it has ended.
     begun: BTreeMap<(u64, u64), (u32, bool)>,
 }
@@ -77,9 +82,8 @@ impl Witness {
             let content = parcel.value();
             if parcel.name() == STATE {
                 let fence = content.get("fence").and_then(Value::as_int).unwrap_or_default();
-                let moving = content.get("moving").and_then(Value::as_bool).unwrap();
-                if !moving {
-                    self.stood = self.stood.max(fence as u64);
+                if content.get("rest").is_some() {
+                    self.rested = self.rested.max(fence as u64);
                 }
                 continue;
             }
@@ -92,18 +96,18 @@ impl Witness {
                 CommandState::Waiting => {
                     prop_assert_eq!(known, None);
                     prop_assert!(fence >= self.fence, "{} is taken under {}", fence, self.fence);
-                    prop_assert!(
-                        self.stood >= fence,
-                        "{} is taken, and the arm stood under {}",
-                        fence,
-                        self.stood
-                    );
                     self.begun.insert((fence, id), (0, false));
                 }
                 CommandState::Executing => {
                     let (statement, ended) = known.expect("it was taken");
                     prop_assert!(!ended && status.statement == statement + 1);
                     prop_assert!(fence >= self.fence, "{} begins under {}", fence, self.fence);
+                    prop_assert!(
+                        self.rested >= fence,
+                        "{} begins, and the arm rested under {}",
+                        fence,
+                        self.rested
+                    );
                     self.begun.insert((fence, id), (status.statement, false));
                 }
                 CommandState::Finished | CommandState::Error => {
@@ -145,7 +149,7 @@ fn play(steps: &[Step]) -> Result<(), TestCaseError> {
     let mut stage = Stage::new();
     let mut witness = Witness {
         fence: 5,
-        stood: 5,
+        rested: 5,
         ..Witness::default()
     };
     let (mut fence, mut id) = (5_u64, 0_u64);
@@ -190,7 +194,7 @@ fn play(steps: &[Step]) -> Result<(), TestCaseError> {
     // In the end all is over, and the arm stands for who owns it.
     stage.pass(120_000);
     witness.hear(stage.out.drain(..))?;
-    prop_assert_eq!(witness.stood, fence);
+    prop_assert_eq!(witness.rested, fence);
     prop_assert!(
         witness.begun.values().all(|(_, ended)| *ended),
         "{:?}",
@@ -221,10 +225,14 @@ fn a_hand_over_by_agreement_lets_the_statement_end_and_the_arm_stand() {
              > status bob/2 error 0/0 changing-hands 5105
              after 99
              after 1
-             > state free, fence 6
+             > state free moving, fence 6
              > status alice/1 error 1/2 halted 5101
              bob command 1 6: wait 10
              > status bob/1 waiting 0/1
+             after 299
+             > state free moving
+             after 1
+             > state free at rest
              > status bob/1 executing 1/1"
         ));
         // What comes meanwhile and takes control away ends it at once, whoever ordered it.
@@ -236,7 +244,7 @@ fn a_hand_over_by_agreement_lets_the_statement_end_and_the_arm_stand() {
                  > status alice/2 error 0/1 halted 5101
                  grabbed 6
                  {line}
-                 > state free, fence {fence}
+                 > state free moving, fence {fence}
                  > status alice/1 error 1/2 halted 5101"
             ));
         }
@@ -246,10 +254,10 @@ fn a_hand_over_by_agreement_lets_the_statement_end_and_the_arm_stand() {
              > status alice/1 waiting 0/2
              > status alice/1 executing 1/2
              {word} 5
-             > state free
+             > state free moving
              > status alice/1 error 1/2 halted 5101
              grabbed 6
-             > state free, fence 6"
+             > state free moving, fence 6"
         ));
     }
 }
@@ -262,19 +270,20 @@ fn the_next_owner_waits_for_the_safe_state() {
          > status alice/1 waiting 0/1
          > status alice/1 executing 1/1
          released 5
-         > state free
+         > state free moving
          > status alice/1 error 1/1 halted 5101
          hub command - -: move 0 0 270 0 0
          > status hub/- waiting 0/1
          > status hub/- executing 1/1
          grabbed 6
          bob command 1 6: home
-         > status bob/1 error 0/0 changing-hands 5105
+         > status bob/1 waiting 0/1
          after 250
          > state free, fence 6
          > status hub/- finished 1/1
-         bob command 1 6: wait 1
-         > status bob/1 waiting 0/1
+         after 249
+         after 1
+         > state free at rest
          > status bob/1 executing 1/1",
     );
 }
