@@ -14,6 +14,8 @@ pub(super) const GONE: Micros = 1_500_000;
 pub(super) const ROUND_TRIP: Micros = 300_000;
 /// What a busy machine may add to any time, beside what it adds to this process.
 const SLACK: Micros = 150_000;
+/// It has stayed within its tolerance for so long before a new owner's first motion: 300 ms, of which the 30 may be missing in which that is seen.
+const RESTS: Micros = 270_000;
 /// Trials in which this process itself stood still for longer are not judged.
 pub(super) const MOST_PAUSE: Micros = 400_000;
 
@@ -32,8 +34,6 @@ pub(super) struct Spec {
     pub(super) hold: Micros,
     /// Whether it also swings, to and fro by one call.
     pub(super) swings: bool,
-    /// How long it has stayed within its tolerance before a new owner's first motion; none: that is not judged.
-    pub(super) rests_first: Option<Micros>,
 }
 
 /// What a body may not do.
@@ -338,8 +338,7 @@ impl Body<'_> {
                 && let Some(last) = place.checked_sub(1).and_then(|last| self.motions.get(last))
                 && last.way * theirs > 0.0
                 && last.until > *at - 100_000
-                && let Some(rests) = self.spec.rests_first
-                && let Some((index, far)) = self.strays(motion.since - rests, motion.since)
+                && let Some((index, far)) = self.strays(motion.since - RESTS, motion.since)
             {
                 let rested = (motion.since - last.until) / 1000;
                 let words = format!(

@@ -14,7 +14,6 @@ fn spec() -> Spec {
         stopping: 200 * MS,
         hold: 500 * MS,
         swings: false,
-        rests_first: Some(270 * MS),
     }
 }
 

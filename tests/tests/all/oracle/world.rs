@@ -48,7 +48,6 @@ impl Kind {
             stopping: 1_000_000,
             hold: 500_000,
             swings: false,
-            rests_first: Some(270_000),
         };
         match self {
             Self::Arm => Spec {
@@ -59,7 +58,6 @@ impl Kind {
                 stopping: 200_000,
                 hold: 1_500_000,
                 swings: false,
-                rests_first: None,
             },
             Self::Mount => Spec {
                 name: "mount",
@@ -69,7 +67,6 @@ impl Kind {
                 stopping: 200_000,
                 hold: 1_500_000,
                 swings: false,
-                rests_first: Some(270_000),
             },
             Self::Rover => Spec {
                 name: "rover",
@@ -95,7 +92,6 @@ impl Kind {
                 stopping: 600_000,
                 hold: 0,
                 swings: false,
-                rests_first: Some(270_000),
             },
         }
     }
