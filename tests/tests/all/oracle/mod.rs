@@ -24,7 +24,7 @@ use world::Kind;
 const TRIALS: u64 = 20;
 /// Worlds of each device at once.
 const SIDE_BY_SIDE: u64 = 4;
-/// Trials that are judged in each of two worlds, within which each fault has to be found: one of each plot.
+/// Trials that are judged in each of two worlds, one of each plot, within two rounds of which each fault has to be found.
 const FOUND_WITHIN: u64 = 7;
 
 fn asked(name: &str) -> Option<u64> {
@@ -151,7 +151,9 @@ async fn finds(plant: Plant, first: u64) -> Option<(u64, String)> {
         if outcome.unjudged.is_some() {
             continue;
         }
-        if judged > FOUND_WITHIN {
+        // A busy machine may let a fault pass once.
+        let rounds = if plant == Plant::Nothing { 1 } else { 2 };
+        if judged > rounds * FOUND_WITHIN {
             break;
         }
         let breaks = |rule| plant == Plant::Nothing || plant.breaks().contains(&rule);

@@ -238,8 +238,8 @@ impl Body<'_> {
             known = Some(*stop);
             let most = at + self.spec.stopping;
             let hold = self.hold(at - GONE, most);
-            // A gesture that nobody could end yet is one motion, to and fro.
-            let swings = if self.spec.swings { hold } else { 0 };
+            // A gesture is one motion, to and fro, until its robot has heard of the stop or has rested by itself.
+            let swings = if self.spec.swings { self.spec.hold } else { 0 };
             if let Some(motion) = self.begins(at + swings + self.slack, free) {
                 let late = (motion.since - at) / 1000;
                 let words = format!("a motion begins {late} ms after the device said that stop {stop} holds");
