@@ -1,6 +1,6 @@
 //! `cargo xtask long`: what takes too long for each change: random logs by the thousand, minutes of random load, a thousand lost
-//! connections on each door, minutes of large messages that wait between short heartbeats, minutes of a thousand robots, and a million
-//! packets of a mirrored one.
+//! connections on each door, minutes of large messages that wait between short heartbeats, minutes of a thousand robots, a million
+//! packets of a mirrored one, and two thousand trials of the motion oracle.
 
 use std::path::Path;
 use std::process::Command;
@@ -11,6 +11,9 @@ use crate::command::{cargo, line, shows};
 
 /// Packets of each direction: a million of both.
 const MILLION_OF_BOTH: &str = "500000";
+
+/// Trials of the motion oracle for each of five devices.
+const TRIALS_OF_EACH: &str = "400";
 
 /// ms between signs of life: the least that a login may ask for.
 const SHORTEST_BEAT: &str = "100";
@@ -25,7 +28,7 @@ pub(crate) fn run(root: &Path, minutes: u64) -> Result<bool> {
     Ok(ok)
 }
 
-fn steps(root: &Path, minutes: u64) -> [Command; 6] {
+fn steps(root: &Path, minutes: u64) -> [Command; 7] {
     let test = |package: &str, name: &str| {
         let mut test = cargo(root);
         test.args([
@@ -63,7 +66,10 @@ fn steps(root: &Path, minutes: u64) -> [Command; 6] {
     let mut packets = test("mom-tests", "all");
     packets.env("MOM_PACKETS", MILLION_OF_BOTH);
     packets.args(["endurance", "--", "--nocapture"]);
-    [logs, load, losses, beats, swarm, packets]
+    let mut motions = test("mom-tests", "all");
+    motions.env("MOM_ORACLE_TRIALS", TRIALS_OF_EACH);
+    motions.args(["oracle", "--", "--nocapture"]);
+    [logs, load, losses, beats, swarm, packets, motions]
 }
 
 #[cfg(test)]
@@ -72,7 +78,7 @@ mod tests {
 
     #[test]
     fn the_load_lasts_as_long_as_is_said() {
-        let [_, load, _, beats, swarm, _] = steps(Path::new("."), 10);
+        let [_, load, _, beats, swarm, _, _] = steps(Path::new("."), 10);
         for (step, key, name) in [
             (load, "MOM_LOAD_SECONDS", "random_load"),
             (beats, "MOM_HEARTBEAT_SECONDS", "heartbeat"),

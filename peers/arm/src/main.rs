@@ -1,13 +1,15 @@
 //! The robot arm of the lab as a program of its own.
 
+use std::path::PathBuf;
 use std::pin::pin;
 use std::time::Duration;
 
 use anyhow::Context;
 use clap::Parser;
-use mom_arm::controller::LinkFault;
-use mom_arm::{ArmOptions, Mount, peer};
+use mom_arm::controller::{Controller, LinkFault, Traced};
+use mom_arm::{ArmMachine, ArmOptions, Mount, peer};
 use mom_program::{HubArgs, begin, shutdown};
+use mom_trace::Trace;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -46,6 +48,9 @@ struct ArmArgs {
     /// Let the simulated arm's time pass so many times as fast as real time, to try much in little time; 100 at most
     #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..=100))]
     pace: u32,
+    /// Write where the simulated body is, every 10 ms, into this file, for tests
+    #[arg(long, value_name = "FILE", conflicts_with = "pace")]
+    trace: Option<PathBuf>,
 }
 
 /// `500ms` or `2s`.
@@ -93,7 +98,14 @@ async fn main() -> anyhow::Result<()> {
         mount: args.mount,
         pace: args.pace,
     };
-    peer::run(client, options, shutdown)
+    let controller: Box<dyn Controller> = match &args.trace {
+        Some(file) => {
+            let trace = Trace::open(file).with_context(|| format!("cannot write {}", file.display()))?;
+            Box::new(Traced::new(options.controller(), trace))
+        }
+        None => Box::new(options.controller()),
+    };
+    peer::run_arm(client, options, ArmMachine::new(controller), shutdown)
         .await
         .context("the arm ended")
 }

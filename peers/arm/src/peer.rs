@@ -46,14 +46,14 @@ impl Default for ArmOptions {
 }
 
 impl ArmOptions {
-    /// The lab's simulated arm, on its table.
-    fn arm(&self) -> ArmMachine {
+    /// The controller of the lab's simulated arm, on its table.
+    #[must_use]
+    pub fn controller(&self) -> Simulated {
         let controller = Simulated::new(0, Block::lab());
-        let controller = match self.link_fault {
+        match self.link_fault {
             Some(fault) => controller.failing(fault),
             None => controller,
-        };
-        ArmMachine::new(Box::new(controller))
+        }
     }
 }
 
@@ -80,7 +80,7 @@ pub async fn run(
     options: ArmOptions,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), ClientError> {
-    let arm = options.arm();
+    let arm = ArmMachine::new(Box::new(options.controller()));
     run_arm(client, options, arm, shutdown).await
 }
 

@@ -67,6 +67,9 @@ struct CameraArgs {
     /// Draw pose, path and outlines into the images; beside them, as data, they always are
     #[arg(long)]
     overlay: bool,
+    /// Write where the simulated mount of --view pan looks, every 10 ms, into this file, for tests
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
 }
 
 #[tokio::main]
@@ -104,6 +107,7 @@ fn options(args: &CameraArgs) -> anyhow::Result<CameraOptions> {
         rate: args.rate,
         trail: args.trail,
         calibration: args.calibration.clone(),
+        trace: args.trace.clone(),
         ..CameraOptions::new(args.view)
     })
 }

@@ -9,11 +9,13 @@ use std::time::{Duration, SystemTime};
 use mom_client::{
     Channel, Client, ClientError, Code, Event, LinkState, Parcel, Path, Time, Token, WireError,
 };
+use mom_trace::Trace;
 use tokio::sync::watch::Receiver;
 use tokio::task::{JoinHandle, JoinSet, spawn_blocking};
 use tokio::time::{Instant, sleep_until};
 
 use crate::calibration::{CalibrationFile, CalibrationKeeper};
+use crate::pan::Mount;
 use crate::pan::peer::RunningMount;
 use crate::server::CameraTime;
 use crate::source::{self, Sight};
@@ -43,6 +45,8 @@ pub struct CameraOptions {
     pub trail: usize,
     /// The file that keeps the measured matrix over restarts, if one does (M55).
     pub calibration: Option<PathBuf>,
+    /// A file into which it is written where the simulated mount of [`View::Pan`] looks, for tests.
+    pub trace: Option<PathBuf>,
 }
 
 impl CameraOptions {
@@ -62,6 +66,7 @@ impl CameraOptions {
             rate: 10.0,
             trail: 100,
             calibration: None,
+            trace: None,
         }
     }
 
@@ -112,8 +117,23 @@ impl CameraOptions {
     }
 
     /// What turns the camera, if anything does.
-    fn mount(&self, client: &Client, channel: &Channel, begin: Instant) -> Option<RunningMount> {
-        (self.view == View::Pan).then(|| RunningMount::start(client, channel, begin))
+    fn mount(
+        &self,
+        client: &Client,
+        channel: &Channel,
+        begin: Instant,
+    ) -> Result<Option<RunningMount>, ClientError> {
+        if self.view != View::Pan {
+            return Ok(None);
+        }
+        let mount = match &self.trace {
+            Some(file) => Mount::traced(Trace::open(file).map_err(|error| {
+                let text = format!("{} cannot be written: {error}", file.display());
+                WireError::new(Code::BAD_CONTENT, text)
+            })?),
+            None => Mount::default(),
+        };
+        Ok(Some(RunningMount::start(client, channel, mount, begin)))
     }
 
     /// The file of the measured matrix, read.
@@ -153,7 +173,7 @@ pub async fn run(
     let channel = options.join(&client).await?;
     let begin = Instant::now();
     // It hears what has been said since the join: a stop may be among it.
-    let mut mount = options.mount(&client, &channel, begin);
+    let mut mount = options.mount(&client, &channel, begin)?;
     let mut camera = channel.events();
     let token = client.token(&options.token).await?;
     let mut owner = token.events();

@@ -8,6 +8,7 @@ use mom_rsp::robot::{Outgoing, Played, Playout, PlayoutCounts};
 use mom_rsp::typed::{Named as _, Unsent};
 use mom_rsp::{FRAGMENT, Fragment, Sound};
 use mom_sound::Decoder;
+use mom_trace::Trace;
 use mom_wheels::{Chassis, Driver, Floor, Motors, Pose, Power, Simulated, WheelTime, eye, switch};
 
 use crate::End;
@@ -82,6 +83,8 @@ pub struct Cubo {
     pub doings: Doings,
     /// Whether its camera is active.
     sees: bool,
+    /// Where it is written where wheels, arms and head are.
+    trace: Option<Trace>,
 }
 
 /// What the body did.
@@ -163,6 +166,7 @@ impl Cubo {
             raised: VecDeque::new(),
             doings: Doings::default(),
             sees: true,
+            trace: None,
         })
     }
 
@@ -182,6 +186,11 @@ impl Cubo {
         }
     }
 
+    /// Has it be written from now on where it is: x and y in mm, where it looks, and the angles of left arm, right arm and head in degrees.
+    pub fn trace(&mut self, trace: Trace) {
+        self.trace = Some(trace);
+    }
+
     /// Has it rest by itself at `until`, whatever it is told by then, unless a later time is given before; [`WheelTime::MAX`] is never. It
     /// is what the hardware does whose program stands still.
     pub fn hold(&mut self, until: WheelTime) {
@@ -192,6 +201,24 @@ impl Cubo {
 
     /// Lets time pass until `now`, µs.
     pub fn advance(&mut self, now: WheelTime) {
+        if let Some(mut trace) = self.trace.take() {
+            trace.until(now, |at| {
+                self.live(at);
+                let pose = self.wheels.pose(self.now);
+                let Joints {
+                    left_arm,
+                    right_arm,
+                    head_tilt,
+                } = self.posture;
+                [pose.x, pose.y, pose.heading, left_arm.0, right_arm.0, head_tilt.0]
+            });
+            self.trace = Some(trace);
+        }
+        self.live(now);
+    }
+
+    /// As [`advance`](Self::advance), and writes nothing.
+    fn live(&mut self, now: WheelTime) {
         if now >= self.held {
             self.pass(self.held);
             self.rest();

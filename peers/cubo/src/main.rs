@@ -10,6 +10,7 @@ use clap::Parser;
 use mom_cubo::{Cubo, CuboHandle, serve, serve_page};
 use mom_rsp::Key;
 use mom_rsp::robot::Settings;
+use mom_trace::Trace;
 use mom_wheels::Pose;
 use tokio::net::{TcpListener, UdpSocket};
 use tokio::signal::unix::{SignalKind, signal};
@@ -60,6 +61,9 @@ struct CuboArgs {
         default_value = "2500,2500,0"
     )]
     at: Vec<f64>,
+    /// Write where the simulated body is, every 10 ms, into this file, for tests
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
 }
 
 #[tokio::main(flavor = "current_thread")]
@@ -84,7 +88,10 @@ async fn main() -> anyhow::Result<()> {
         [x, y, heading] if heading.is_finite() => Pose::new(x, y, heading),
         _ => bail!("--at takes three numbers, such as 1000,1000,90: mm, mm and degrees"),
     };
-    let body = Cubo::new(pose).context("--at is a place within the walls, 110 mm from each")?;
+    let mut body = Cubo::new(pose).context("--at is a place within the walls, 110 mm from each")?;
+    if let Some(file) = &args.trace {
+        body.trace(Trace::open(file).with_context(|| format!("cannot write {}", file.display()))?);
+    }
     let settings = Settings {
         key: args.robot_key.as_deref().map(read_key).transpose()?,
         watchdog: args.watchdog,

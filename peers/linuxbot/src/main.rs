@@ -14,7 +14,8 @@ use anyhow::Context;
 use clap::Parser;
 use mom_brs::{Table, file};
 use mom_linuxbot::{Access, Options, Page, Robot, Rules, serve_observed, serve_page};
-use mom_wheels::{Chassis, Simulated, Watchdog, WheelTime};
+use mom_trace::Trace;
+use mom_wheels::{Chassis, Driver, Simulated, Traced, Watchdog, WheelTime};
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::watch;
@@ -73,6 +74,9 @@ struct LinuxbotArgs {
     /// The group in which the robots are, in that file: robots of one group are driven together
     #[arg(long, value_name = "NAME", requires = "write_fleet")]
     group: Option<String>,
+    /// Write where the first simulated body is, every 10 ms, into this file, for tests
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
 }
 
 /// `9` or `9-10`.
@@ -116,13 +120,7 @@ async fn main() -> anyhow::Result<()> {
     let mut shutdown = pin!(shutdown()?);
     let options = options(&args)?;
     let rules = rules(&args)?;
-    let units = args.only.clone().unwrap_or(1..=args.robots);
-    anyhow::ensure!(
-        *units.end() <= args.robots,
-        "there is no unit {} among {} robots: --robots says how many there are on the floor",
-        units.end(),
-        args.robots
-    );
+    let units = chosen(&args)?;
     let listeners = listen(args.listen, units.len() as u16).await?;
     let addresses = listeners
         .iter()
@@ -136,8 +134,10 @@ async fn main() -> anyhow::Result<()> {
     let (stop, stopping) = watch::channel(false);
     // The pages end with this function.
     let (mut serving, mut showing) = (JoinSet::new(), JoinSet::new());
-    let others = usize::from(units.start() - 1);
-    let drivers = Simulated::fleet(args.robots).into_iter().skip(others);
+    let mut trace = args.trace.as_deref().map(open).transpose()?;
+    let drivers = Simulated::fleet(args.robots)
+        .into_iter()
+        .skip(usize::from(units.start() - 1));
     for ((listener, driver), unit) in listeners.into_iter().zip(drivers).zip(units) {
         let driver = driver.with_battery(args.battery);
         let mut seen = None;
@@ -147,7 +147,7 @@ async fn main() -> anyhow::Result<()> {
             seen = Some(observed);
             showing.spawn(serve_page(page, shown));
         }
-        let robot = Robot::new(Box::new(driver), Chassis::LINUXBOT, rules);
+        let robot = Robot::new(traced(driver, trace.take()), Chassis::LINUXBOT, rules);
         let mut stopping = stopping.clone();
         serving.spawn(serve_observed(
             listener,
@@ -176,6 +176,30 @@ async fn main() -> anyhow::Result<()> {
         keep(&mut result, ended);
     }
     result
+}
+
+/// Which robots of its floor it is.
+fn chosen(args: &LinuxbotArgs) -> anyhow::Result<RangeInclusive<u16>> {
+    let units = args.only.clone().unwrap_or(1..=args.robots);
+    anyhow::ensure!(
+        *units.end() <= args.robots,
+        "there is no unit {} among {} robots: --robots says how many there are on the floor",
+        units.end(),
+        args.robots
+    );
+    Ok(units)
+}
+
+/// This driver, whose way is written where that is asked for.
+fn traced(driver: Simulated, trace: Option<Trace>) -> Box<dyn Driver> {
+    match trace {
+        Some(trace) => Box::new(Traced::new(driver, trace)),
+        None => Box::new(driver),
+    }
+}
+
+fn open(file: &std::path::Path) -> anyhow::Result<Trace> {
+    Trace::open(file).with_context(|| format!("{} cannot be written", file.display()))
 }
 
 /// Says how a robot ended, and keeps the first error for the end of the program.

@@ -1,5 +1,6 @@
 //! A robot that is a peer itself, as a program of its own.
 
+use std::path::PathBuf;
 use std::pin::pin;
 use std::time::Duration;
 
@@ -8,7 +9,8 @@ use clap::Parser;
 use mom_client::Path;
 use mom_program::{HubArgs, begin, shutdown};
 use mom_rover::{Rover, RoverOptions, run};
-use mom_wheels::{Chassis, Floor, Pose, Power, Simulated};
+use mom_trace::Trace;
+use mom_wheels::{Chassis, Driver, Floor, Pose, Power, Simulated, Traced};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -56,6 +58,9 @@ struct RoverArgs {
     /// The manager of its token, by its name in the hub's configuration; without it: that of the session
     #[arg(long, value_name = "NAME")]
     manager: Option<String>,
+    /// Write where the simulated body is, every 10 ms, into this file, for tests
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
     #[command(flatten)]
     hub: HubArgs,
 }
@@ -69,7 +74,14 @@ async fn main() -> anyhow::Result<()> {
     let options = options(&args)?;
     let robot = Simulated::new(Chassis::LINUXBOT, Power::LINUXBOT, Floor::ARENA, start(&args.at)?)
         .context("--at is a place within the walls, 100 mm from each")?;
-    let rover = Rover::new(Box::new(robot), Chassis::LINUXBOT, options.unit());
+    let driver: Box<dyn Driver> = match &args.trace {
+        Some(file) => {
+            let trace = Trace::open(file).with_context(|| format!("cannot write {}", file.display()))?;
+            Box::new(Traced::new(robot, trace))
+        }
+        None => Box::new(robot),
+    };
+    let rover = Rover::new(driver, Chassis::LINUXBOT, options.unit());
     let name = options.path.rsplit('/').next().unwrap_or_default();
     args.hub.or_user(&format!("rover-{name}"));
     let login = args.hub.login("mom-rover", env!("CARGO_PKG_VERSION"))?;

@@ -204,7 +204,7 @@ async fn obey(
 }
 
 /// Has a robot stand, and waits until its driver has taken that.
-async fn stand(rover: &mut Rover, begin: Instant) {
+pub(crate) async fn stand(rover: &mut Rover, begin: Instant) {
     let until = Instant::now() + LAST_STOP;
     rover.halt(time_since(begin));
     while !rover.stands() {

@@ -42,12 +42,14 @@ pub mod eye;
 mod parameters;
 pub mod pilot;
 pub mod simulated;
+mod traced;
 mod watchdog;
 
 pub use driver::{Driver, DriverError, Fault, MOTOR_LIMIT, Motors, Pose, Sensors, switch};
 pub use parameters::{Chassis, Floor, Power, SetupError};
 pub use pilot::{GiveUp, Pilot, PilotEnd, Point};
 pub use simulated::Simulated;
+pub use traced::Traced;
 pub use watchdog::Watchdog;
 
 /// A time or a duration in int microseconds.

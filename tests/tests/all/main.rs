@@ -34,6 +34,8 @@ mod login;
 mod losses;
 mod mcp;
 mod objects;
+#[cfg(target_os = "linux")]
+mod oracle;
 mod order;
 #[cfg(target_os = "linux")]
 mod packages;

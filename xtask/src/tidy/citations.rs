@@ -15,6 +15,7 @@ use super::tree::{Tree, line_at};
 const DESIGN: &str = "docs/design.md";
 const THREATS: &str = "docs/threats.md";
 const PAPERS: &str = "docs/papers.md";
+const SAFETY: &str = "docs/safety.md";
 
 /// What one place in a text refers to.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -42,6 +43,7 @@ pub(crate) fn check(tree: &Tree, report: &mut Report<'_>) -> Result<()> {
         }
     }
     check_threats(tree, report);
+    check_safety(tree, report);
     Ok(())
 }
 
@@ -260,6 +262,34 @@ fn check_threats(tree: &Tree, report: &mut Report<'_>) {
     }
 }
 
+/// Every row of the table of safety names tests that exist, says that it does not apply, or that it is open.
+fn check_safety(tree: &Tree, report: &mut Report<'_>) {
+    let Some(document) = tree.text(SAFETY) else {
+        return;
+    };
+    let mut tests: BTreeSet<&str> = functions(tree);
+    let python = tree.with_extension(&["py"]);
+    let words_of = python.flat_map(|(_, source)| source.split("def ").skip(1));
+    tests.extend(words_of.filter_map(|rest| rest.split('(').next()));
+    let scripts = tree.with_extension(&["ts", "mjs"]);
+    let named = scripts.flat_map(|(_, source)| source.split("test(\"").skip(1));
+    tests.extend(named.filter_map(|rest| rest.split('"').next()));
+    for (number, row) in document.lines().enumerate() {
+        let Some(cell) = row.strip_prefix("| ").and_then(|row| row.split(" | ").nth(2)) else {
+            continue;
+        };
+        let named: Vec<&str> = cell.split('`').skip(1).step_by(2).collect();
+        let says = ["test", "*open*", "does not apply"];
+        if named.is_empty() && !says.iter().any(|word| cell.starts_with(word)) {
+            let text = "a property of a device without a test: name one, or say `*open*` or `does not apply`, and why";
+            report(SAFETY, number + 1, text.to_owned());
+        }
+        for name in named.iter().filter(|name| !tests.contains(*name)) {
+            report(SAFETY, number + 1, format!("there is no test `{name}`"));
+        }
+    }
+}
+
 /// The numbered items of a document, each with its line and all of its text.
 fn items(document: &str) -> Vec<(usize, String)> {
     let mut found: Vec<(usize, String)> = Vec::new();
@@ -313,6 +343,21 @@ mod tests {
     fn faults(path: &str, text: &str) -> Vec<String> {
         let files: Vec<_> = PAGES.into_iter().chain([TEST, (path, text)]).collect();
         found(check, &files)
+    }
+
+    #[test]
+    fn each_row_of_the_table_of_safety_names_a_test_that_exists() {
+        let row =
+            |cell: &str| format!("| property | device | test |\n|---|---|---|\n| stops | arm | {cell} |\n");
+        for right in [
+            "`threat_2_a_lie`",
+            "*open*: all of it",
+            "does not apply: it has none",
+        ] {
+            assert_eq!(faults(SAFETY, &row(right)), NONE, "{right}");
+        }
+        assert_eq!(faults(SAFETY, &row("`a_lie`")).len(), 1);
+        assert_eq!(faults(SAFETY, &row("sure")).len(), 1);
     }
 
     #[test]

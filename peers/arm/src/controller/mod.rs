@@ -16,9 +16,11 @@ mod link;
 mod simulated;
 #[cfg(test)]
 mod tests;
+mod traced;
 
 pub use link::LinkFault;
 pub use simulated::{Simulated, WATCHDOG};
+pub use traced::Traced;
 
 /// One thing that a controller is told to do; the next one follows when it is done.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -2,6 +2,7 @@
 
 use mom_client::Map;
 use mom_device::{DeviceError, DeviceTime, Machine, Script, Word, Words};
+use mom_trace::Trace;
 
 use super::aim::{Aim, HOME};
 use super::slew::Slew;
@@ -15,6 +16,8 @@ pub struct Mount {
     slew: Slew,
     /// Where it will look after the last waiting command; the next one is checked from there.
     planned: Aim,
+    /// Where it is written where it looks.
+    trace: Option<Trace>,
 }
 
 /// What a statement of its scripts makes it do.
@@ -53,11 +56,32 @@ impl Default for Mount {
             now: 0,
             slew: Slew::rest(HOME),
             planned: HOME,
+            trace: None,
         }
     }
 }
 
 impl Mount {
+    /// A mount at home, at rest, that writes there where it looks: pan and tilt in degrees.
+    #[must_use]
+    pub fn traced(trace: Trace) -> Self {
+        Self {
+            trace: Some(trace),
+            ..Self::default()
+        }
+    }
+
+    /// Writes where it has looked until now, before that changes.
+    fn trace(&mut self, now: DeviceTime) {
+        let slew = self.slew;
+        if let Some(trace) = &mut self.trace {
+            trace.until(now, |at| {
+                let Aim { pan, tilt } = slew.at(at);
+                [pan, tilt]
+            });
+        }
+    }
+
     /// Reads a script of the mount.
     ///
     /// ```
@@ -131,6 +155,7 @@ impl Machine for Mount {
     }
 
     fn begin(&mut self, action: &MountAction, now: DeviceTime) -> Result<(), DeviceError> {
+        self.trace(now);
         let aim = self.slew.at(now);
         self.slew = Slew::new(aim, action.target(aim), now);
         Ok(())
@@ -141,11 +166,13 @@ impl Machine for Mount {
     }
 
     fn halt(&mut self, now: DeviceTime) {
+        self.trace(now);
         let aim = self.slew.at(now);
         (self.slew, self.planned) = (Slew::rest(aim), aim);
     }
 
     fn advance(&mut self, now: DeviceTime) {
+        self.trace(now);
         self.now = now;
     }
 

@@ -19,8 +19,8 @@ pub(crate) struct RunningMount {
 
 impl RunningMount {
     /// Begins to obey the commands of this channel. `begin` is when its time and that of the images began.
-    pub(crate) fn start(client: &Client, channel: &Channel, begin: Instant) -> RunningMount {
-        let device = DevicePeer::start(client, channel, Mount::default(), begin);
+    pub(crate) fn start(client: &Client, channel: &Channel, mount: Mount, begin: Instant) -> RunningMount {
+        let device = DevicePeer::start(client, channel, mount, begin);
         let (sender, slews) = watch::channel(device.machine().slew());
         let (stop, stopping) = oneshot::channel();
         let mut work = JoinSet::new();

@@ -278,6 +278,20 @@ fn a_halt_at_rest_reaches_the_driver_too() {
     assert_eq!(given.load(Ordering::Relaxed), 4);
 }
 
+#[tokio::test]
+async fn where_its_program_ends_the_driver_is_told_until_it_takes_the_stop() {
+    let (mut stage, refuses, given) = stubborn();
+    stage.command("motor 100 100 60000").expect("it can");
+    stage.pass(300 * MS);
+    refuses.store(2, Ordering::Relaxed);
+    let before = given.load(Ordering::Relaxed);
+    let mut rover = stage.queue.machine().again();
+    let begin = tokio::time::Instant::now() - std::time::Duration::from_millis(300);
+    crate::peer::stand(&mut rover, begin).await;
+    assert!(rover.stands(), "its program ends no sooner");
+    assert!(given.load(Ordering::Relaxed) >= before + 3 && refuses.load(Ordering::Relaxed) == 0);
+}
+
 #[test]
 fn nothing_begins_before_the_last_stop_is_taken() {
     let (mut stage, refuses, _) = stubborn();
