@@ -46,7 +46,7 @@ impl World {
         let Some(stop) = self.stop_by(order.peer, number, order.reason.clone()) else {
             return;
         };
-        self.stops.latch_mut(&path).stop(stop, None);
+        self.stops.latch_mut(&path).issue(stop, None);
         let kept = if self.settings.keeps_stops {
             Kept::Waits
         } else {

@@ -124,13 +124,14 @@ impl World {
         let (Some(stop), Some(path)) = (stop, path) else {
             return self.fault("a device is met that is not there");
         };
-        if word.number <= self.stops.latch(&path).newest {
+        let before = self.stops.latch(&path);
+        let latch = self.stops.latch_mut(&path);
+        let device = Arc::clone(&stop.by);
+        let holds = latch.meet(&device, word.number, word.stopped);
+        if *latch == before && !holds {
             return;
         }
-        let latch = self.stops.latch_mut(&path);
-        latch.newest = word.number;
-        if word.stopped {
-            let device = Arc::clone(&stop.by);
+        if holds {
             latch.stop(stop, Some(&[device]));
             let told = latch.describe();
             let to = self.told_of_stops(channel, &BTreeSet::from([peer]));

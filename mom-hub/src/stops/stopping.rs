@@ -51,7 +51,7 @@ impl World {
             return self.fault("a stop is taken that nobody says, or nowhere");
         };
         let latch = self.stops.latch_mut(&path);
-        let new = latch.stop(stop, only);
+        let new = latch.issue(stop, only);
         let told = latch.describe();
         self.keep(channel, storing, out);
         if new {

@@ -29,6 +29,11 @@ pub struct Stop {
 pub struct Latch {
     /// The number of the newest stop, which may be lifted since; 0 before the first.
     pub newest: Fence,
+    /// The first number of which it is known what has become of it; 0 before the first. A device may stand by an older one of which a hub
+    /// before this one knew.
+    pub known: Fence,
+    /// Up to which number all stops of the channel were lifted.
+    pub lifted: Fence,
     /// The stop that holds for every device that `each` does not name, also for those that are away.
     pub all: Option<Arc<Stop>>,
     /// Devices for which another one holds, newer than `all`; none = it was lifted for this one.
@@ -77,6 +82,27 @@ impl Latch {
         stop.map(|stop| Stop::clone(stop))
     }
 
+    /// Takes in a stop that the hub has numbered now.
+    pub(crate) fn issue(&mut self, stop: Stop, only: Option<&[Arc<str>]>) -> bool {
+        if self.known == Fence::default() {
+            self.known = stop.number;
+        }
+        self.stop(stop, only)
+    }
+
+    /// Takes in what a device says that joins: the newest stop that it has heard of, and whether it stands for it. Gives whether that is a
+    /// stop which is to hold for it, as nothing is known of its end.
+    pub(crate) fn meet(&mut self, device: &str, number: Fence, stopped: bool) -> bool {
+        let is_known = self.known != Fence::default() && number >= self.known;
+        let was_newest = number <= self.newest;
+        if !was_newest {
+            // What was said between is not known either.
+            (self.newest, self.known) = (number, number.next());
+        }
+        let ended = was_newest && is_known || number <= self.lifted;
+        stopped && !ended && self.holding(device).is_none()
+    }
+
     /// Takes in a stop for these devices, or for all. Gives whether it stops one that no stop held.
     pub(crate) fn stop(&mut self, stop: Stop, only: Option<&[Arc<str>]>) -> bool {
         self.newest = self.newest.max(stop.number);
@@ -107,6 +133,7 @@ impl Latch {
     pub(crate) fn lift(&mut self, up_to: Fence, only: Option<&[Arc<str>]>) -> Vec<Newer> {
         let mut newer = Vec::new();
         let Some(names) = only else {
+            self.lifted = self.lifted.max(up_to);
             if let Some(all) = self.all.take_if(|all| all.number <= up_to) {
                 drop(all);
             } else if let Some(all) = &self.all {
@@ -154,6 +181,8 @@ impl Latch {
         self.each = each.collect();
         self.all = all;
         self.newest = self.newest.max(other.newest);
+        self.known = self.known.max(other.known);
+        self.lifted = self.lifted.max(other.lifted);
         self.device |= other.device;
     }
 
@@ -316,6 +345,41 @@ mod tests {
         let mut joined = all;
         joined.join(&device);
         assert!(joined.device);
+    }
+
+    /// A hub that begins anew, and devices that come back to it by what the one before has told them.
+    #[test]
+    fn a_device_stands_by_a_stop_of_which_nothing_is_known() {
+        let meets = |latch: &mut Latch, device: &str, number: u64, stopped| {
+            let holds = latch.meet(device, number.into(), stopped);
+            if holds {
+                latch.stop(stop(number), Some(&names(&[device])));
+            }
+            holds
+        };
+        let mut latch = Latch::default();
+        assert!(meets(&mut latch, "a", 5, true));
+        assert!(!meets(&mut latch, "a", 5, true), "it stands already");
+        assert!(meets(&mut latch, "b", 5, true), "what a says is not said of b");
+        assert!(!meets(&mut latch, "c", 5, false));
+        assert_eq!((held(&latch), latch.newest), ([5, 5, 0], 5.into()));
+        assert_eq!(latch.lift(5.into(), None), []);
+        assert!(
+            !meets(&mut latch, "c", 5, true),
+            "it was away while it was lifted"
+        );
+
+        // The hub says one to a alone: that b has stood by an older one is not known.
+        let mut latch = Latch::default();
+        latch.issue(stop(7), Some(&names(&["a"])));
+        assert!(meets(&mut latch, "b", 5, true));
+        // By one of its own it is known that it was lifted.
+        assert_eq!(latch.lift(7.into(), Some(&names(&["a"]))), []);
+        assert!(!meets(&mut latch, "a", 7, true));
+        // One that is newer than all tells of a hub between.
+        assert!(!meets(&mut latch, "c", 9, false));
+        assert!(meets(&mut latch, "a", 8, true));
+        assert!(meets(&mut latch, "a", 7, true) || latch.holding("a").is_some());
     }
 
     #[test]

@@ -13,6 +13,10 @@ use super::latch::{Latch, Stop, StopRecord};
 pub struct StopRow {
     path: String,
     newest: u64,
+    #[serde(default)]
+    known: u64,
+    #[serde(default)]
+    lifted: u64,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     all: Option<StopFacts>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -46,6 +50,8 @@ impl From<&StopRecord> for StopRow {
         StopRow {
             path: record.path.to_string(),
             newest: record.latch.newest.into(),
+            known: record.latch.known.into(),
+            lifted: record.latch.lifted.into(),
             all: record.latch.all.as_ref().map(facts),
             each: each
                 .map(|(name, own)| (name.to_string(), own.as_ref().map(facts)))
@@ -82,6 +88,8 @@ impl StopRow {
             path,
             latch: Latch {
                 newest: self.newest.into(),
+                known: self.known.into(),
+                lifted: self.lifted.into(),
                 all: self.all.map(stop).transpose()?,
                 each: each.collect::<Result<_, String>>()?,
                 device: self.device,
@@ -109,6 +117,8 @@ mod tests {
             path: Path::parse("/robot/arm").expect("a path"),
             latch: Latch {
                 newest: 9.into(),
+                known: 3.into(),
+                lifted: 6.into(),
                 all: Some(stop(7, None)),
                 each: [
                     ("arm".into(), Some(stop(9, Some("smoke")))),

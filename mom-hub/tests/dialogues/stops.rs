@@ -243,6 +243,35 @@ fn a_device_that_has_come_back_is_told_how_it_stands_before_anything_else() {
     );
 }
 
+/// What one device says of a stop says nothing of another that stands by the same, nor does a stop of a third.
+#[test]
+fn each_device_stands_by_a_stop_that_the_hub_does_not_know() {
+    // Of a hub before this one.
+    let stop = ((EPOCH.cast_signed() - 1) << 20) + 9;
+    let word = || Value::from(Map::new().with("stop", stop).with("stopped", true));
+    for first in ["arm", "alice"] {
+        let mut stage = stage();
+        stage.enter("belt", 1);
+        match first {
+            "arm" => drop(stage.say_with("arm", "context join /lab/arm", "device", word())),
+            other => drop(stage.say("bob", &format!("message stop /lab/arm @to={other}"))),
+        }
+        let heard = stage.say_with("belt", "context join /lab/arm", "device", word());
+        assert!(
+            heard
+                .iter()
+                .any(|line| line.starts_with("belt< stop of hub") && line.contains("by=belt")),
+            "{first}: {heard:?}"
+        );
+        // It is known from then on: what was lifted stays so.
+        stage.say("bob", "message stop /lab/arm");
+        let newest = stands(&mut stage, "/lab/arm").0;
+        stage.say("bob", &format!("message unstop /lab/arm @stop={newest}"));
+        let heard = stage.say_with("belt", "context join /lab/arm", "device", word());
+        assert_eq!(heard, ["belt< ok"], "{first}");
+    }
+}
+
 #[test]
 fn a_stop_that_the_device_knows_of_and_the_hub_does_not_holds() {
     let mut stage = stage();
