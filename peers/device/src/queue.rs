@@ -210,10 +210,9 @@ impl<M: Machine> CommandQueue<M> {
     /// Where that is more than [`Machine::PATIENCE`] later than [`CommandQueue::next_wake`], the program has stood still: no statement begins for
     /// which it would have had to be there, and all commands end.
     pub fn advance(&mut self, now: DeviceTime, events: &mut Vec<QueueEvent>) {
-        let due = self.next_wake().filter(|_| self.is_busy());
-        let silence = due.map_or(0, |due| now.saturating_sub(due));
+        let silence = self.next_wake().map_or(0, |due| now.saturating_sub(due));
         let patience = M::PATIENCE.saturating_mul(self.pace);
-        if silence > patience {
+        if silence > patience && self.is_busy() {
             self.silence = Some(silence);
             // For so long the mechanism has gone on by itself.
             self.carry_on(now - silence + patience, events);
@@ -221,6 +220,10 @@ impl<M: Machine> CommandQueue<M> {
                 self.end_silent(silence, events);
             }
             self.silence = None;
+        }
+        if silence > patience {
+            // What was measured meanwhile is heard only now, and would pass for new.
+            self.rest.disturb(now);
         }
         self.carry_on(now, events);
     }

@@ -423,3 +423,19 @@ fn of_a_program_that_stood_still_no_later_statement_begins() {
         }
     }
 }
+
+/// News that waited for a program that stood still seem as new as the program is awake.
+#[test]
+fn what_was_measured_while_the_program_stood_still_is_not_new() {
+    let mut track = Track::of(true, true);
+    track.go("alice", 1).expect("taken");
+    track.pass(500);
+    track.act(|queue, now, events| queue.stop(now, "a test", events));
+    track.pass(290);
+    assert_eq!(track.queue.state().rest, None);
+    track.now += 3_000_000;
+    track.act(|queue, now, events| queue.advance(now, events));
+    assert_eq!(track.queue.state().rest, None);
+    track.pass(400);
+    assert_eq!(track.queue.state().rest, Some(AtRest::Measured));
+}
