@@ -63,6 +63,8 @@ enum Doing {
     Set(DeviceTime, Vec<u8>),
     /// These effectors go to where they were set to.
     Arrives(Arrival),
+    /// The robot is to say that this element is active, or is not; it was told so then.
+    Switches(u8, bool, DeviceTime),
     /// The robot is to acknowledge this command, which then goes on for so many µs.
     Command(u32, DeviceTime),
     /// What a command began goes on until then.
@@ -336,7 +338,10 @@ impl Mirror {
             }
             Action::Activate { element, active } => {
                 let (place, _) = self.named(element, is_switched, "what can be switched")?;
-                self.robot.with(|middle| middle.set_activated(place, *active))
+                let switched = self.robot.with(|middle| middle.set_activated(place, *active));
+                switched.map_err(|error| self.refused(error))?;
+                self.robot.hurry();
+                return Ok(Doing::Switches(place, *active, self.now));
             }
             Action::Ask(element) => {
                 let (place, _) = self.named(element, is_asked, "what can be asked")?;
@@ -407,7 +412,11 @@ impl Machine for Mirror {
         match &self.doing {
             Doing::Drives => self.rover.as_ref().and_then(Machine::done_at),
             Doing::Done(at) | Doing::Set(at, _) | Doing::Runs(at) => Some(*at),
-            Doing::Nothing | Doing::Arrives(_) | Doing::Command(..) | Doing::Waits(..) => None,
+            Doing::Nothing
+            | Doing::Arrives(_)
+            | Doing::Switches(..)
+            | Doing::Command(..)
+            | Doing::Waits(..) => None,
         }
     }
 
@@ -445,7 +454,7 @@ impl Machine for Mirror {
         let rover = self.rover.as_ref().and_then(Machine::next_wake);
         let doing = match self.doing {
             Doing::Set(until, _) | Doing::Runs(until) => Some(until.saturating_add(1)),
-            Doing::Arrives(_) | Doing::Waits(..) => Some(self.now.saturating_add(LOOK)),
+            Doing::Arrives(_) | Doing::Switches(..) | Doing::Waits(..) => Some(self.now.saturating_add(LOOK)),
             _ => None,
         };
         let stop = self.stop.is_under_way().then(|| self.now.saturating_add(LOOK));

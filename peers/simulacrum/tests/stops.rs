@@ -379,6 +379,15 @@ fn what_is_finished_has_ended() {
     }
 }
 
+/// What is switched on is on for the statement that follows.
+#[test]
+fn what_is_switched_is_so_when_its_statement_ends() {
+    let mut rig = Rig::new();
+    rig.submit("deactivate motion; wait 300; activate motion; set joints 80 -80 30");
+    rig.until(|rig| rig.swing() > 30.0 || rig.failed().is_some());
+    assert_eq!(rig.failed(), None);
+}
+
 /// What does not come to where it was set to is said to be hindered.
 #[test]
 fn what_does_not_arrive_is_hindered() {

@@ -46,6 +46,18 @@ impl Mirror {
                 Ok(false) => {}
                 Err(error) => self.fail(error),
             },
+            // One in a module that is switched off is as it was told, and rests.
+            Doing::Switches(place, active, _)
+                if self.robot.with(|middle| {
+                    middle.active(*place) == *active || middle.activated(*place) != *active
+                }) =>
+            {
+                self.doing = Doing::Done(now);
+            }
+            Doing::Switches(_, _, since) if now > since.saturating_add(UNCONFIRMED) => {
+                let text = format!("{} has not confirmed what was switched", self.robot.name());
+                self.fail(DeviceError::new(ErrorName::Link, text));
+            }
             Doing::Waits(_, since) if now > since.saturating_add(UNCONFIRMED) => {
                 let text = format!(
                     "{} has not confirmed its last stop, so it begins nothing",
