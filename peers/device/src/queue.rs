@@ -178,6 +178,7 @@ impl<M: Machine> CommandQueue<M> {
         self.check_attached(&command.script)?;
         self.check_turn(&command.script)?;
         self.machine.plan(&command.script)?;
+        self.displace(&command.script, events);
         events.push(QueueEvent::Waiting(command.progress(0)));
         self.waiting.push_back(command);
         self.seq += 1;

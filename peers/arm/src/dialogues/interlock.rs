@@ -288,6 +288,39 @@ fn the_next_owner_waits_for_the_safe_state() {
     );
 }
 
+/// Velocities are said again and again; until the arm rests for who says them, the newest waits.
+#[test]
+fn the_newest_velocity_of_a_new_owner_waits_for_rest() {
+    check(
+        "alice command 1 5: move 0 0 270 0 0
+         > status alice/1 waiting 0/1
+         > status alice/1 executing 1/1
+         after 50
+         grabbed 6
+         > state free moving, fence 6
+         > status alice/1 error 1/1 halted 5101
+         bob command 1 6: jog 50 0 0 0 0
+         > status bob/1 waiting 0/1
+         after 100
+         > state free moving
+         bob command 2 6: jog 50 0 0 0 0
+         > status bob/1 finished 0/1
+         > status bob/2 waiting 0/1
+         bob command 3 6: home
+         > status bob/3 waiting 0/1
+         bob command 4 6: jog 50 0 0 0 0
+         > status bob/4 error 0/0 busy 5106
+         after 250
+         > state free moving
+         > state free at rest
+         > status bob/2 executing 1/1
+         > status bob/2 finished 1/1
+         > status bob/3 executing 1/1
+         > state free
+         > status bob/3 finished 1/1",
+    );
+}
+
 /// A configuration guards the channel from now on: what was sent before is nobody's.
 #[test]
 fn what_was_sent_without_a_fence_ends_where_somebody_owns_the_token() {

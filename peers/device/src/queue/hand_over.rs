@@ -60,9 +60,12 @@ impl<M: Machine> CommandQueue<M> {
             );
             return Err(DeviceError::new(ErrorName::ChangingHands, text).with_retry());
         }
-        let gives_way = self.active.is_some() && self.machine.gives_way() && self.waiting.is_empty();
-        let never_waits = script.actions().any(|(action, _)| M::never_waits(action));
-        match never_waits && self.is_busy() && !gives_way {
+        let gives_way = match self.active {
+            Some(_) => self.machine.gives_way() && self.waiting.is_empty(),
+            // Until the device rests for its new owner the newest of them waits, though.
+            None => self.waiting.iter().all(|other| never_waits::<M>(&other.script)),
+        };
+        match never_waits::<M>(script) && self.is_busy() && !gives_way {
             true => {
                 let text = format!(
                     "{} carries out a script, behind which this does not wait; send it again when the device is at rest",
@@ -71,6 +74,14 @@ impl<M: Machine> CommandQueue<M> {
                 Err(DeviceError::new(ErrorName::Busy, text))
             }
             false => Ok(()),
+        }
+    }
+
+    /// One that never waits takes the place of those like it that wait for rest.
+    pub(super) fn displace(&mut self, script: &Script<M::Action>, events: &mut Vec<QueueEvent>) {
+        if self.active.is_none() && never_waits::<M>(script) {
+            let displaced = self.waiting.drain(..);
+            events.extend(displaced.map(|other| QueueEvent::Finished(other.progress(0))));
         }
     }
 
@@ -92,4 +103,9 @@ impl<M: Machine> CommandQueue<M> {
             self.advance(self.now, events);
         }
     }
+}
+
+/// Whether a script waits behind no other.
+fn never_waits<M: Machine>(script: &Script<M::Action>) -> bool {
+    script.actions().any(|(action, _)| M::never_waits(action))
 }
