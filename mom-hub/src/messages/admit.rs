@@ -187,7 +187,9 @@ pub fn admit_with(
     if age.is_none() && ingress.waited > 0 {
         check_life(parcel, ingress.waited)?;
     }
-    check_lifted(route, parcel, age, wall)?;
+    if route.lifted.is_some() {
+        check_lifted(route, parcel, age, wall)?;
+    }
     let receivers = receivers(route, peer, parcel)?;
     // The hub's own mark.
     parcel.extra.remove(HISTORY);
@@ -229,6 +231,7 @@ fn sender(route: &Route, peer: PeerId) -> Result<&Member, WireError> {
 /// Checks the guard; gives the fence to stamp.
 /// Checks that what moves a device was not said before a stop was lifted: who said it did not see what has become of the device since. It may
 /// come so late where an uplink stood still and was not lost.
+#[cold]
 fn check_lifted(route: &Route, parcel: &Parcel, age: Option<Aged>, wall: Time) -> Result<(), WireError> {
     let late = route
         .lifted_before(&parcel.name)
