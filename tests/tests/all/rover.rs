@@ -206,8 +206,7 @@ async fn feed(client: &Client, events: &mut Events, fence: u64, script: &str, wi
 /// Has the hub's clock pass this time.
 async fn pass(client: &Client, until: Time) {
     while client.clock().now().is_none_or(|(now, _)| now < until) {
-        // Requests would be more than a peer may say.
-        sleep(Duration::from_millis(5)).await;
+        sleep(Duration::from_millis(5)).await; // tidy: it is time that has to pass, and requests would be more than a peer may say
     }
 }
 
