@@ -282,6 +282,14 @@ impl Mirror {
         DeviceError::new(ErrorName::Link, text)
     }
 
+    fn switch(&self, element: &str, active: bool) -> Result<Doing, DeviceError> {
+        let (place, _) = self.named(element, is_switched, "what can be switched")?;
+        let switched = self.robot.with(|middle| middle.set_activated(place, active));
+        switched.map_err(|error| self.refused(error))?;
+        self.robot.hurry();
+        Ok(Doing::Switches(place, active, self.now))
+    }
+
     fn begin_other(&mut self, action: &Action) -> Result<Doing, DeviceError> {
         if !self.robot.is_up() {
             let text = format!(
@@ -336,13 +344,7 @@ impl Mirror {
                     .with(|middle| middle.send_blob(place, &bytes.bytes))
                     .map(drop)
             }
-            Action::Activate { element, active } => {
-                let (place, _) = self.named(element, is_switched, "what can be switched")?;
-                let switched = self.robot.with(|middle| middle.set_activated(place, *active));
-                switched.map_err(|error| self.refused(error))?;
-                self.robot.hurry();
-                return Ok(Doing::Switches(place, *active, self.now));
-            }
+            Action::Activate { element, active } => return self.switch(element, *active),
             Action::Ask(element) => {
                 let (place, _) = self.named(element, is_asked, "what can be asked")?;
                 self.robot.with(|middle| middle.ask(place))
