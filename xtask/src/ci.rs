@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::Result;
 
 use crate::command::{cargo, line, shows, succeeds};
-use crate::{console, instructions, shuttle, test, tidy};
+use crate::{console, instructions, test, tidy};
 
 /// One step that is a cargo command.
 struct Step {
@@ -59,9 +59,6 @@ pub(crate) fn run(root: &Path) -> Result<bool> {
         console::build(root).map(|()| true)
     })?;
     if !built {
-        return Ok(false);
-    }
-    if !timed("shuttle", shuttle::COMMAND, || shuttle::run(root, None, None))? {
         return Ok(false);
     }
     let mut counts = None;

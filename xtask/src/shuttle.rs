@@ -16,9 +16,6 @@ const NAME: &str = "interleaved";
 /// The packages that have some.
 const PACKAGES: &[&str] = &["mom-store", "mom-broker"];
 
-/// How to start it by hand.
-pub(crate) const COMMAND: &str = "cargo xtask shuttle";
-
 /// Builds and runs them; whether all orders went well. `orders` and `seed` as the tests have them if not said.
 pub(crate) fn run(root: &Path, orders: Option<u64>, seed: Option<u64>) -> Result<bool> {
     let mut tests = command(root);
