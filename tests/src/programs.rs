@@ -245,6 +245,10 @@ impl Running {
             "{name} reaches {}",
             self.name
         );
+        // On a busy machine its threads run on until each has had a turn.
+        while name == "STOP" && !is_stopped(&id) {
+            std::thread::yield_now();
+        }
     }
 
     /// Waits for the program's own end.
@@ -293,4 +297,17 @@ pub fn run(name: &str, args: &[&str], environment: &[(&str, &str)]) -> Output {
 /// An output as a person would read it.
 pub fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Whether all threads of a program stand still.
+fn is_stopped(id: &str) -> bool {
+    let Ok(threads) = std::fs::read_dir(format!("/proc/{id}/task")) else {
+        return true;
+    };
+    threads.flatten().all(|thread| {
+        let stat = std::fs::read_to_string(thread.path().join("stat")).unwrap_or_default();
+        // After the name, which stands in brackets and may be anything.
+        stat.rsplit_once(") ")
+            .is_none_or(|(_, state)| state.starts_with('T'))
+    })
 }
