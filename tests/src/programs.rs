@@ -299,7 +299,7 @@ pub fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// Whether all threads of a program stand still.
+/// Whether all threads of a program stand still, or have ended.
 fn is_stopped(id: &str) -> bool {
     let Ok(threads) = std::fs::read_dir(format!("/proc/{id}/task")) else {
         return true;
@@ -308,6 +308,6 @@ fn is_stopped(id: &str) -> bool {
         let stat = std::fs::read_to_string(thread.path().join("stat")).unwrap_or_default();
         // After the name, which stands in brackets and may be anything.
         stat.rsplit_once(") ")
-            .is_none_or(|(_, state)| state.starts_with('T'))
+            .is_none_or(|(_, state)| state.starts_with(['T', 'Z', 'X']))
     })
 }
