@@ -7,7 +7,7 @@ use mom_device::{DeviceError, ErrorName, Machine, Sample, Word, Words};
 
 use crate::arm::HOME;
 use crate::blocks::Block;
-use crate::controller::{Controller, Instruction, Progress, Reading, Simulated};
+use crate::controller::{Controller, Instruction, Progress, Reading, Simulated, WATCHDOG};
 use crate::jog::{self, Jog};
 use crate::motion::ArmTime;
 use crate::path;
@@ -36,6 +36,8 @@ pub struct ArmMachine {
     linked: bool,
     /// The zones into which it must not go.
     closed: Closed,
+    /// µs by which a piece of a velocity may begin too late.
+    patience: ArmTime,
 }
 
 /// What is being done of the present statement.
@@ -73,7 +75,15 @@ impl ArmMachine {
             done: None,
             failure: None,
             closed: Closed::default(),
+            patience: WATCHDOG,
         }
+    }
+
+    /// Its time passes so many times as fast as that of its program.
+    #[must_use]
+    pub fn at_pace(mut self, pace: u32) -> Self {
+        self.patience = WATCHDOG.saturating_mul(pace.max(1).into());
+        self
     }
 
     /// What the controller knows of hand, jaws and blocks.
@@ -163,6 +173,14 @@ impl ArmMachine {
     fn carry_on(&mut self, until: ArmTime) {
         while self.done.is_none() && self.failure.is_none() {
             match self.step {
+                // Each piece has to be said in time: a controller would have stood after the last one.
+                Step::None if self.jog.is_some() && until - self.now > self.patience => {
+                    let text = format!(
+                        "the program of the arm stood still for {} ms, and no piece of a velocity begins so late",
+                        (until - self.now) / 1000
+                    );
+                    self.fail(DeviceError::new(ErrorName::Halted, text));
+                }
                 Step::None => match self.go_on() {
                     Ok(true) => {}
                     Ok(false) => self.done = Some(self.now),

@@ -103,8 +103,8 @@ pub async fn run_arm(
     let mut keeper = zones
         .is_some()
         .then(|| ZoneKeeper::new(Zones::new(options.mount)));
-    let mut peer =
-        DevicePeer::start(&client, &channel, arm, Instant::now()).at_pace(options.pace.clamp(1, 100));
+    let mut peer = DevicePeer::start(&client, &channel, arm.at_pace(options.pace), Instant::now())
+        .at_pace(options.pace.clamp(1, 100));
     if let Some(max_age) = options.max_age {
         peer = peer.with_max_age(max_age);
     }

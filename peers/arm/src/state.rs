@@ -79,7 +79,7 @@ pub struct ArmState {
     pub executing: Option<Executing>,
     /// How many commands wait behind it.
     pub waiting: usize,
-    /// The newest fence of its token under which the arm has stood: commands of its owner are taken. None where no owner was heard of.
+    /// The newest fence of its token that the arm has heard of. None where no owner was heard of.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fence: Option<u64>,
 }

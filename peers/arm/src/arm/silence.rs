@@ -35,3 +35,18 @@ fn behind_a_silent_driver_no_statement_begins() {
     assert_eq!(told(&events)[3..], ["1 error 1/2 halted", "2 error 0/1 halted"]);
     assert!((arm.state().pose.z - 310.0).abs() < 1e-6 && !arm.is_busy());
 }
+
+/// A velocity is told piece by piece: of a program that stood still none begins, and the hand stands where the last one has left it.
+#[test]
+fn behind_a_silent_driver_no_piece_of_a_velocity_begins() {
+    let (mut arm, mut events) = (Arm::new(0), Vec::new());
+    arm.submit(1, "jog 100 0 0 0 0 1000", 0, &mut events).unwrap();
+    while arm.queue.now() < 300_000 {
+        arm.advance(arm.next_wake().unwrap(), &mut events);
+    }
+    let before = arm.state().pose.x;
+    arm.advance(arm.queue.now() + 700_000, &mut events);
+    assert_eq!(told(&events).last().unwrap(), "1 error 1/1 halted");
+    let way = arm.state().pose.x - before;
+    assert!((0.0..2.0).contains(&way), "{way}");
+}
