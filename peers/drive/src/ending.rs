@@ -16,7 +16,7 @@ pub const TIMES: u32 = 3;
 /// So long the hub may take to have a token back.
 const RELEASED: Duration = Duration::from_secs(1);
 /// So long a device may take to end a command after the hub's `halt`.
-const HALTED: Duration = Duration::from_secs(2);
+pub const HALTED: Duration = Duration::from_secs(2);
 
 /// Asks until an answer comes: [`TIMES`] times, each [`REPEATED`]. None if there is none. A question that cannot be sent, or hangs, is
 /// repeated as one that is lost.

@@ -17,7 +17,7 @@ mod scope;
 
 pub use age::believed;
 pub use asking::{ANSWER, DeviceChannel, closed, refusal};
-pub use ending::{Halt, REPEATED, TIMES, halt, insist};
+pub use ending::{HALTED, Halt, REPEATED, TIMES, halt, insist};
 pub use failure::{Doing, Tell, VerbFailure, both};
 pub use holding::{Holding, WorkEnd, lost_words};
 pub use pose::Pose;

@@ -11,7 +11,7 @@ use tokio::time::{Instant, interval_at, timeout};
 use crate::answer::Answer;
 use crate::assistant::{Assistant, UNSCOPED, loss_words};
 use crate::progress::Progress;
-use crate::script::{End, carry_out, failed, halted, hand_back, too_fast};
+use crate::script::{End, carry_out, failed, halted, hand_back, has_heard_the_end, too_fast};
 use crate::sight::{count_words, give_command, pose_words, scope_words};
 
 /// How long a person may take by default: clients of MCP wait a minute.
@@ -227,10 +227,12 @@ pub(crate) async fn run(assistant: &Assistant, script: &str, progress: &mut Prog
     }
     let before = assistant.newest();
     let mut runs = None;
+    let mut has_ended = false;
     let end = carry_out(assistant, &mut guard, script, progress, &mut runs).await;
     let end = match end {
         // The hub's word that the token is lost may be behind the robot's that it was halted.
         End::Failed(status) => {
+            has_ended = true;
             let _asked = assistant.token_info().await;
             match guard.is_lost() {
                 true => End::Lost(guard.lost().await),
@@ -260,12 +262,20 @@ pub(crate) async fn run(assistant: &Assistant, script: &str, progress: &mut Prog
             return with_rest(assistant, answer, before).await;
         }
         End::Lost(lost) => {
+            // The hub has halted the arm, or the arm itself at the loss of its link; that it has is for the arm to say.
+            let has_ended = has_ended || has_heard_the_end(assistant, runs).await;
+            let heard = match has_ended {
+                true => "the arm has ended the script",
+                false => "the arm has not said that it has ended the script: tell a person at once",
+            };
             let text = format!(
-                "you have {}, so the hub has halted the arm; do not go on",
+                "you have {}; do not go on; {heard}",
                 loss_words(path, &lost, guard.delegation())
             );
             assistant.lose(lost.clone());
-            Answer::bad("lost", text).with("lost", json!({"reason": lost.reason, "by": lost.by}))
+            Answer::bad("lost", text)
+                .with("ended", json!(has_ended))
+                .with("lost", json!({"reason": lost.reason, "by": lost.by}))
         }
         End::Finished => Answer::good("finished", json!({"status": "finished"})),
         End::Failed(status) => failed(&status),
@@ -289,11 +299,15 @@ async fn with_rest(assistant: &Assistant, answer: Answer, before: Option<i64>) -
         .await;
     let rests = assistant.robot_state_when(REST, |state| !state.moving).await;
     let mut answer = answer;
+    let at = match &rests {
+        Ok(_) => "the arm is at",
+        Err(_) => "by its last word, and perhaps no more, the arm is at",
+    };
     if let Ok(seen) | Err(Some(seen)) = rests {
         assistant.tell(&seen);
         let state = &seen.state;
         let holding = state.holding.as_deref().unwrap_or("nothing");
-        let words = format!("the arm is at {}, holding {holding}", pose_words(&state.pose));
+        let words = format!("{at} {}, holding {holding}", pose_words(&state.pose));
         answer = answer.and(&words);
         answer = answer
             .with("pose", json!(state.pose))

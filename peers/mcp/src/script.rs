@@ -4,7 +4,7 @@ use std::future::pending;
 use std::time::Duration;
 
 use mom_client::{BASED_ON, Event, Events, Family, Lost, Parcel, TokenGuard, Value, WireError, from_value};
-use mom_drive::{Doing as _, Halt, VerbFailure, halt};
+use mom_drive::{Doing as _, HALTED, Halt, VerbFailure, halt};
 use serde::Deserialize;
 use serde_json::json;
 use tokio::time::timeout;
@@ -173,6 +173,14 @@ pub(crate) async fn hand_back(assistant: &Assistant, guard: TokenGuard, runs: Op
             (true, released, halt)
         }
         None => (false, release.await, Halt::Confirmed),
+    }
+}
+
+/// Whether the arm says soon that the script has ended whose token is lost; also where none was sent.
+pub(crate) async fn has_heard_the_end(assistant: &Assistant, runs: Option<Running>) -> bool {
+    match runs {
+        Some(mut running) => timeout(HALTED, running.ended(assistant)).await.is_ok(),
+        None => true,
     }
 }
 

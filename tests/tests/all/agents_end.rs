@@ -304,3 +304,34 @@ async fn a_token_without_a_scope_has_a_limit() {
     assert!(said.contains("what you asked for is over"), "{said}");
     assert_eq!(token.status().await.expect("told").owner, None);
 }
+
+/// A token that is lost is no word of the arm: whether that has ended the script is for the arm to say.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lost_token_does_not_say_that_the_arm_stands() {
+    let (_broker, hub) = hub().await;
+    let mut heard = deaf(&hub).await;
+    let alice = join(&hub, "alice").await;
+    let token = alice.token(TOKEN).await.expect("she may look");
+    let guard = token.grab().await.expect("it is free");
+    let place = hub.clone();
+    let started = spawn_blocking(move || Assistant::at(&place));
+    let mut assistant = started.await.expect("it starts");
+    let mut given = guard
+        .give("assistant")
+        .time(Duration::from_secs(2))
+        .await
+        .expect("it is here");
+    given.accepted().await.expect("it takes what a person gives");
+    let moved = spawn_blocking(move || {
+        let wish = json!({"reason": "to wave"});
+        assistant.call("request_token", &wish);
+        assistant.bad("move", &json!({"script": "home"}), "lost")
+    });
+    let said = moved.await.expect("it answers");
+    assert!(
+        said.contains("the arm has not said that it has ended the script: tell a person at once"),
+        "{said}"
+    );
+    assert!(said.contains("by its last word"), "{said}");
+    hears(&mut heard, "halt").await;
+}
