@@ -262,20 +262,8 @@ pub(crate) async fn run(assistant: &Assistant, script: &str, progress: &mut Prog
             return with_rest(assistant, answer, before).await;
         }
         End::Lost(lost) => {
-            // The hub has halted the arm, or the arm itself at the loss of its link; that it has is for the arm to say.
             let has_ended = has_ended || has_heard_the_end(assistant, runs).await;
-            let heard = match has_ended {
-                true => "the arm has ended the script",
-                false => "the arm has not said that it has ended the script: tell a person at once",
-            };
-            let text = format!(
-                "you have {}; do not go on; {heard}",
-                loss_words(path, &lost, guard.delegation())
-            );
-            assistant.lose(lost.clone());
-            Answer::bad("lost", text)
-                .with("ended", json!(has_ended))
-                .with("lost", json!({"reason": lost.reason, "by": lost.by}))
+            lost_to(assistant, lost, guard.delegation(), has_ended)
         }
         End::Finished => Answer::good("finished", json!({"status": "finished"})),
         End::Failed(status) => failed(&status),
@@ -289,6 +277,21 @@ pub(crate) async fn run(assistant: &Assistant, script: &str, progress: &mut Prog
         )),
         false => answer,
     }
+}
+
+/// The answer where the token is lost. The hub has halted the arm, or the arm itself at the loss of its link; that it has is for the arm
+/// to say.
+fn lost_to(assistant: &Assistant, lost: Lost, loan: Option<&Loan>, has_ended: bool) -> Answer {
+    let heard = match has_ended {
+        true => "the arm has ended the script",
+        false => "the arm has not said that it has ended the script: tell a person at once",
+    };
+    let words = loss_words(&assistant.places.token, &lost, loan);
+    let answer = Answer::bad("lost", format!("you have {words}; do not go on; {heard}"))
+        .with("ended", json!(has_ended))
+        .with("lost", json!({"reason": lost.reason, "by": lost.by}));
+    assistant.lose(lost);
+    answer
 }
 
 /// With where the arm is now, and what is left of the scope.
