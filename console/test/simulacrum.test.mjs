@@ -111,8 +111,11 @@ test("a line of the last minute holds what is not told again, and forgets what i
   trail.add(2000, 5);
   trail.add(31_000, 10);
   trail.add(31_100, 12);
-  assert.deepEqual(trail.points(61_000), [[0, 5], [0.5, 12], [1, 12]]);
+  assert.deepEqual(trail.points(61_000), [[0, 5], [0.5, 10], [0.5, 12], [1, 12]]);
   assert.deepEqual(trail.range(61_000), [5, 12]);
+  // A peak that is shorter than a step is drawn.
+  for (const [at, value] of [[45_000, 12], [45_100, 40], [45_200, 12], [45_220, null], [45_300, 12]]) trail.add(at, value);
+  assert.deepEqual(trail.range(61_000), [5, 40]);
   trail.add(61_000, null);
   // Of what is older than a minute only what still holds counts.
   assert.deepEqual(trail.points(31_000 + SPAN + 30_000), [[0, null], [1, null]]);

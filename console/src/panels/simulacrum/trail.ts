@@ -9,6 +9,9 @@ interface Point {
   at: number;
   /** null: not known from then on. */
   value: number | null;
+  /** The least and the greatest within the step, so that a short peak is seen. */
+  least: number;
+  most: number;
 }
 
 export class Trail {
@@ -18,8 +21,11 @@ export class Trail {
   add(at: number, value: number | null): void {
     const last = this.#points.at(-1);
     if (last && (at < last.at || value === last.value)) return;
-    if (last && at - last.at < STEP) last.value = value;
-    else this.#points.push({ at, value });
+    const merged = last && at - last.at < STEP;
+    const point = merged ? last : { at, value, least: Infinity, most: -Infinity };
+    point.value = value;
+    if (value !== null) [point.least, point.most] = [Math.min(point.least, value), Math.max(point.most, value)];
+    if (!merged) this.#points.push(point);
     // One is kept of the time before, as it holds until the next.
     const first = this.#points.findIndex(({ at: when }) => when > at - SPAN);
     if (first > 1) this.#points.splice(0, first - 1);
@@ -29,9 +35,10 @@ export class Trail {
   points(now: number): [x: number, value: number | null][] {
     const begin = now - SPAN;
     const seen: [number, number | null][] = [];
-    for (const { at, value } of this.#points) {
+    for (const { at, value, least, most } of this.#points) {
       const x = Math.max(0, Math.min(1, (at - begin) / SPAN));
       if (at <= begin) seen.length = 0;
+      else for (const peak of [least, most]) if (Number.isFinite(peak) && peak !== value) seen.push([x, peak]);
       seen.push([x, value]);
     }
     const last = seen.at(-1);
