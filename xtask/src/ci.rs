@@ -64,14 +64,16 @@ pub(crate) fn run(root: &Path) -> Result<bool> {
     let mut counts = None;
     let passed = timed("test", "cargo xtask test", || {
         let result = test::run(root, &[])?;
+        let passed = result.is_success();
         counts = Some(result);
-        Ok(result.is_success())
+        Ok(passed)
     })?;
     // Before the closing line, and also where a test failed: both are told in one run.
     let kept = timed("instructions", "cargo xtask instructions", || {
         instructions::run_if_changed(root)
     })?;
     if let Some(counts) = counts {
+        counts.show_failures();
         println!("{counts}");
     }
     Ok(passed && kept)

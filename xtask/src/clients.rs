@@ -59,6 +59,7 @@ fn counted(text: &str) -> Counts {
         .find(|line| line.contains(" in "))
         .unwrap_or_default();
     let mut counts = Counts::default();
+    text.lines().for_each(|line| counts.add_failure(line));
     for part in last.trim_matches(|c| c == '=' || c == ' ').split(", ") {
         let mut words = part.split_whitespace();
         if let (Some(Ok(number)), Some(kind)) = (words.next().map(str::parse), words.next()) {

@@ -229,6 +229,7 @@ fn run(task: Task) -> Result<ExitCode> {
         Task::Test(args) => {
             needs::ensure_all(needs::FOR_ALL_TESTS, args.install.install, "cargo xtask test")?;
             let counts = test::run(&root, &args.cargo_test)?;
+            counts.show_failures();
             println!("{counts}");
             Ok(exit_code(counts.is_success()))
         }

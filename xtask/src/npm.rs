@@ -44,6 +44,7 @@ pub(crate) fn test(root: &Path, folder: &str, (name, value): (&str, &Path)) -> R
 fn counted(text: &str) -> Counts {
     let mut counts = Counts::default();
     for line in text.lines() {
+        counts.add_failure(line);
         for (begin, kind) in [("# pass ", "passed"), ("# fail ", "failed")] {
             if let Some(number) = line.strip_prefix(begin).and_then(|number| number.parse().ok()) {
                 counts.add(kind, number);

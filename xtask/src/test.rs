@@ -27,20 +27,46 @@ const THREADS: &str = "RUST_TEST_THREADS";
 const PROGRAMS: &str = "MOM_PROGRAMS";
 
 /// How many tests passed and failed; shown as `N passed, N failed`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Counts {
     passed: u64,
     failed: u64,
+    /// The lines that name a test that failed, or say where it panicked and why.
+    failures: Vec<String>,
+    /// The next line says why.
+    panicked: bool,
 }
 
 impl Counts {
     /// Something ran, and nothing failed.
-    pub(crate) fn is_success(self) -> bool {
+    pub(crate) fn is_success(&self) -> bool {
         self.passed > 0 && self.failed == 0
+    }
+
+    /// Shows the failed tests once more: at the end of a long output, where somebody looks, and before the counts.
+    pub(crate) fn show_failures(&self) {
+        for line in &self.failures {
+            println!("failed: {line}");
+        }
+    }
+
+    /// Keeps a line that names a test that failed: of cargo, of pytest, of Node; or that says where one panicked, and the next.
+    pub(crate) fn add_failure(&mut self, line: &str) {
+        let line = line.trim();
+        let named = (line.starts_with("test ") && line.ends_with("... FAILED"))
+            || line.starts_with("FAILED ")
+            || line.starts_with("ERROR ")
+            || line.starts_with("not ok ");
+        let panicked = line.starts_with("thread '") && line.contains(" panicked at ");
+        if named || panicked || self.panicked {
+            self.failures.push(line.chars().take(300).collect());
+        }
+        self.panicked = panicked;
     }
 
     /// Adds what a line `test result: ok. 3 passed; 1 failed; …` says; any other line says nothing.
     fn add_line(&mut self, line: &str) {
+        self.add_failure(line);
         let Some(result) = line.trim_end().strip_prefix("test result: ") else {
             return;
         };
@@ -67,11 +93,11 @@ impl Counts {
     }
 
     /// Both together.
-    pub(crate) fn and(self, other: Counts) -> Counts {
-        Counts {
-            passed: self.passed + other.passed,
-            failed: self.failed + other.failed,
-        }
+    pub(crate) fn and(mut self, other: Counts) -> Counts {
+        self.passed += other.passed;
+        self.failed += other.failed;
+        self.failures.extend(other.failures);
+        self
     }
 
     /// The counts once cargo has ended. A build that fails or a test program that dies leaves no line of results,
@@ -314,6 +340,34 @@ mod tests {
     }
 
     #[test]
+    fn failed_tests_are_named_with_the_cause() {
+        let mut counts = Counts::default();
+        for line in [
+            "test a ... ok",
+            "test rest::b ... FAILED",
+            "---- rest::b stdout ----",
+            "",
+            "thread 'rest::b' (77) panicked at tests/rest.rs:5:9:",
+            "it moved",
+            "note: run with RUST_BACKTRACE=1",
+            "FAILED tests/test_wire.py::test_it - assert 1 == 2",
+            "    not ok 3 - the page stops",
+            "ok 4 - not ok",
+        ] {
+            counts.add_line(line);
+        }
+        let expected = [
+            "test rest::b ... FAILED",
+            "thread 'rest::b' (77) panicked at tests/rest.rs:5:9:",
+            "it moved",
+            "FAILED tests/test_wire.py::test_it - assert 1 == 2",
+            "not ok 3 - the page stops",
+        ];
+        assert_eq!(counts.failures, expected);
+        assert_eq!(Counts::default().and(counts).failures, expected);
+    }
+
+    #[test]
     fn tests_at_a_standstill_are_named_and_ended() {
         let mut child = Command::new("sh")
             .args([
@@ -351,11 +405,11 @@ mod tests {
 
     #[test]
     fn cargo_failing_without_a_result_counts_as_a_failure() {
-        let counts = Counts { passed: 4, failed: 0 };
-        assert_eq!(counts.concluded(true).to_string(), "4 passed, 0 failed");
-        assert_eq!(counts.concluded(false).to_string(), "4 passed, 1 failed");
-        let counts = Counts { passed: 4, failed: 2 };
-        assert_eq!(counts.concluded(false).to_string(), "4 passed, 2 failed");
+        let counts = Counts { passed: 4, ..Counts::default() };
+        assert_eq!(counts.clone().concluded(true).to_string(), "4 passed, 0 failed");
+        assert_eq!(counts.clone().concluded(false).to_string(), "4 passed, 1 failed");
+        let counts = Counts { passed: 4, failed: 2, ..Counts::default() };
+        assert_eq!(counts.clone().concluded(false).to_string(), "4 passed, 2 failed");
     }
 
     #[test]
