@@ -405,10 +405,17 @@ mod tests {
 
     #[test]
     fn cargo_failing_without_a_result_counts_as_a_failure() {
-        let counts = Counts { passed: 4, ..Counts::default() };
+        let counts = Counts {
+            passed: 4,
+            ..Counts::default()
+        };
         assert_eq!(counts.clone().concluded(true).to_string(), "4 passed, 0 failed");
         assert_eq!(counts.clone().concluded(false).to_string(), "4 passed, 1 failed");
-        let counts = Counts { passed: 4, failed: 2, ..Counts::default() };
+        let counts = Counts {
+            passed: 4,
+            failed: 2,
+            ..Counts::default()
+        };
         assert_eq!(counts.clone().concluded(false).to_string(), "4 passed, 2 failed");
     }
 

@@ -7,7 +7,10 @@ use std::time::Duration;
 use mom_client::{
     Client, ClientError, Event, Events, Family, Given, Lost, Map, Parcel, TokenGuard, from_value,
 };
-use mom_drive::{DeviceChannel, Doing as _, Holding, Tell, VerbFailure, both, closed, insist, lost_words};
+use mom_drive::{
+    DeviceChannel, Doing as _, HALTED, Holding, REPEATED, TIMES, Tell, VerbFailure, both, closed, insist,
+    lost_words,
+};
 use serde_json::json;
 use tokio::time::error::Elapsed;
 use tokio::time::{Instant, timeout};
@@ -65,8 +68,12 @@ to it within a second is not waited for: the robot is stopped, until somebody le
 
 /// How long the agent may take to give the token back after it was cancelled.
 const CANCELLED: Duration = Duration::from_secs(5);
-/// How long after the token's return its last word may take.
-const LAST: Duration = Duration::from_secs(2);
+/// How long the hub may take to tell the robot to stop.
+const STOPPED: Duration = Duration::from_secs(2);
+/// How long after the token's return its last word may take: the robot has that time to say that it stands.
+const LAST: Duration = HALTED
+    .saturating_add(REPEATED.saturating_mul(TIMES))
+    .saturating_add(Duration::from_secs(1));
 
 /// Works until the blocks are aligned, or `interrupt` is. The caller closes the client.
 ///
@@ -236,9 +243,11 @@ impl Loan<'_, '_> {
                 }
                 () = &mut unanswered, if stopped.is_none() => {
                     unanswered = Box::pin(std::future::pending());
-                    // Its last word says that it ends.
-                    if !self.is_over() {
-                        stopped = Some(timeout(LAST, stop(self.client, &self.args.robot)).await);
+                    if !self.ends() {
+                        stopped = Some(timeout(STOPPED, stop(self.client, &self.args.robot)).await);
+                        let words = format!("the agent does not answer; {}", self.stop_words(&stopped));
+                        let json = json!({"state": "unanswered", "text": words});
+                        (self.tell)(json, format!("{words}; waiting for the token"))?;
                     }
                 }
                 () = silence(interrupted) => {
@@ -287,6 +296,8 @@ impl Loan<'_, '_> {
             let json = serde_json::to_value(&report).unwrap_or_else(|_| json!({"state": report.state}));
             if report.state == "working" {
                 (self.tell)(json, report.line())?;
+            } else if report.state == "ending" {
+                (self.tell)(json, "ending: waiting until the robot stands".to_owned())?;
             } else if report.is_last() {
                 let text = report.text.clone().unwrap_or_default();
                 (self.tell)(json, format!("{}: {text}", report.state))?;
@@ -295,7 +306,8 @@ impl Loan<'_, '_> {
         }
         match event {
             Event::LinkDown => Err(VerbFailure::plain(format!(
-                "the connection to the hub is lost; {}",
+                "the connection to the hub is lost, and the agent loses the token with it: the hub halts {}; {}",
+                self.args.robot,
                 self.whereabouts()
             ))),
             _ => Ok(()),
@@ -310,6 +322,12 @@ impl Loan<'_, '_> {
             Some(Ok(Err(failure))) => format!("{robot} was not stopped: {failure}"),
             Some(Err(_)) | None => format!("{robot} was not stopped"),
         }
+    }
+
+    /// Whether it has answered to an end.
+    fn ends(&self) -> bool {
+        let ends = |report: &Report| report.is_last() || report.state == "ending";
+        self.last.as_ref().is_some_and(|(report, _)| ends(report))
     }
 
     fn is_over(&self) -> bool {

@@ -329,12 +329,6 @@ impl Servo {
         Action::Wait
     }
 
-    /// Whether the arm has not told the begin of a command.
-    #[must_use]
-    pub fn is_unheard(&self) -> bool {
-        self.sight.is_unheard()
-    }
-
     /// Lets time pass in which nothing is decided.
     pub fn pass(&mut self, now: Micros) {
         self.now = self.now.max(now);

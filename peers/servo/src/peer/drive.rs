@@ -49,6 +49,8 @@ pub(super) struct Drive {
     fence: u64,
     /// The id of the last command.
     id: u64,
+    /// That of the newest one which the robot has said to be over, and with it all before.
+    over: u64,
     /// The controller's numbers of the newest ones.
     numbers: BTreeMap<u64, u32>,
     /// That of the command to the jaws which is under way.
@@ -101,6 +103,7 @@ impl Drive {
             servo,
             fence,
             id: 0,
+            over: 0,
             numbers: BTreeMap::new(),
             grip: None,
             holding: false,
@@ -201,7 +204,8 @@ impl Drive {
                     self.note_status(&status, self.age(parcel));
                 }
             }
-            Event::Refused(error, _) => {
+            Event::Refused(error, id) => {
+                self.over = self.over.max(id.unwrap_or(0));
                 let now = hub_now(&self.links.client);
                 self.servo.refused(
                     "refused",
@@ -235,8 +239,15 @@ impl Drive {
             return;
         }
         let now = hub_now(&self.links.client);
+        if matches!(status.state.as_str(), "finished" | "error") {
+            self.over = self.over.max(status.id.unwrap_or(0));
+        }
         match status.state.as_str() {
             "executing" => {
+                if let Some(id) = status.id {
+                    // Those before it have ended, whatever became of them.
+                    self.over = self.over.max(id.saturating_sub(1));
+                }
                 if let Some(number) = status.id.and_then(|id| self.numbers.get(&id)) {
                     self.servo.begun(*number, now - age);
                 }
@@ -290,12 +301,12 @@ impl Drive {
         )
     }
 
-    /// Gives the token back, so that the hub halts the robot, and hears that it stands.
+    /// Gives the token back, so that the hub halts the robot, and hears that it stands: what was sent is over, and it does not move.
     pub(super) async fn end(mut self, holding: Holding) -> Result<(), VerbFailure> {
         let device = DeviceChannel::join(&self.links.client, self.links.arm.path().as_str()).await?;
         let stands = async {
             // What comes next is newer than what was sent.
-            while self.moves || self.servo.is_unheard() {
+            while self.moves || self.over < self.id {
                 match self.links.events.next().await {
                     Some(event) => drop(self.note(&event)),
                     None => std::future::pending().await,

@@ -266,24 +266,30 @@ impl Places {
             },
         };
         // Before the token returns, so that its next owner knows.
-        say(channel, "progress", report.to_map(), None).await;
+        let ending = Report {
+            state: "ending".to_owned(),
+            ..report.clone()
+        };
+        say(channel, "progress", ending.to_map(), None).await;
         let ended = match drive {
             Some(drive) => drive.end(holding).await,
             None => holding.release().await,
         };
-        match ended {
+        let report = match ended {
             Ok(()) => report,
-            Err(failure) => {
-                // Whoever is near has to know.
-                let text = format!("{}; {failure}", report.text.clone().unwrap_or_default());
-                let report = Report {
-                    text: Some(text),
-                    ..report
-                };
-                say(channel, "progress", report.to_map(), None).await;
-                report
-            }
-        }
+            // Whoever is near has to know.
+            Err(failure) => Report {
+                text: Some(format!("{}; {failure}", report.text.clone().unwrap_or_default())),
+                state: if report.state == "aligned" {
+                    "failed".to_owned()
+                } else {
+                    report.state.clone()
+                },
+                ..report
+            },
+        };
+        say(channel, "progress", report.to_map(), None).await;
+        report
     }
 
     /// The token, once the peer of the task offers it.

@@ -21,7 +21,8 @@ use crate::task::{NAMES, Task};
 pub struct Report {
     /// Whose task it is.
     pub peer: String,
-    /// `accepted`, `working`, `aligned`, `failed`, `cancelled` or `lost`.
+    /// `accepted`, `working`, `ending`, and at last `aligned`, `failed`, `cancelled` or `lost`: when the robot has said that it stands, or
+    /// has not said so for 4 s.
     pub state: String,
     /// To whom the token is to be given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -140,7 +141,7 @@ impl Report {
     /// Whether nothing follows.
     #[must_use]
     pub fn is_last(&self) -> bool {
-        !matches!(self.state.as_str(), "accepted" | "working")
+        !matches!(self.state.as_str(), "accepted" | "working" | "ending")
     }
 
     /// A line for people.
