@@ -277,3 +277,33 @@ async fn an_agent_whose_link_stands_still_loses_the_token_and_the_arm_rests() {
     assert!(!moved, "no command is obeyed after the token is gone");
     drop(broker);
 }
+
+/// The token is back at once; that the arm stands is said when the arm has said so, and else that it has not.
+#[tokio::test(flavor = "multi_thread")]
+async fn ctrl_c_beside_a_frozen_arm_says_that_the_arm_has_not_answered() {
+    let (broker, address) = spawn_blocking(|| Running::broker(&project().join("config/lab.toml")))
+        .await
+        .expect("it starts");
+    let hub = format!("bin://{address}");
+    let (arm, _cameras, _agent) = parts(&hub, &hub).await;
+    let bob = join(&hub, "bob").await;
+    let mut states = bob.channel("/robot/arm").await.expect("people may").events();
+    let running = servo(&hub, &["red", "green"]).await;
+    let (running, _) = report(running, "\"working\"").await;
+    arm_is(&mut states, true).await;
+    arm.signal("STOP");
+    running.signal("INT");
+    let (running, ending) = report(running, "\"ending\"").await;
+    let words = ending["text"].as_str().expect("words").to_owned();
+    assert!(words.starts_with("alice cancelled it; "), "{words}");
+    let (running, last) = report(running, "\"cancelled\"").await;
+    let said = last["text"].as_str().expect("words");
+    assert!(
+        said.starts_with(&words) && said.contains("/robot/arm has not said that it has ended its command"),
+        "{said}"
+    );
+    assert_eq!(code(running).await, Some(1));
+    assert_eq!(owner(&bob).await, None);
+    arm.signal("CONT");
+    drop(broker);
+}

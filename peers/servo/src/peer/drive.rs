@@ -58,8 +58,9 @@ pub(super) struct Drive {
     holding: bool,
     /// Whether the robot moves, by its newest state.
     moves: bool,
-    /// When the robot told its newest state.
+    /// When the robot told its newest state, and the number of that.
     stated: Micros,
+    seq: i64,
     told: Option<(Instant, Phase)>,
 }
 
@@ -96,7 +97,8 @@ pub(super) fn long<T>(work: impl FnOnce() -> T) -> T {
 }
 
 impl Drive {
-    pub(super) fn new(links: Links, order: Order, servo: Servo, fence: u64) -> Drive {
+    /// `seq`: the number of the state in which the robot was when this began.
+    pub(super) fn new(links: Links, order: Order, servo: Servo, fence: u64, seq: i64) -> Drive {
         Drive {
             links,
             order,
@@ -109,6 +111,7 @@ impl Drive {
             holding: false,
             moves: false,
             stated: 0,
+            seq,
             told: None,
         }
     }
@@ -196,7 +199,11 @@ impl Drive {
                 if let Ok(state) = from_value::<RobotState>(parcel.value()) {
                     self.holding = state.holding.is_some();
                     self.moves = state.moving;
-                    self.stated = hub_now(&self.links.client) - self.age(parcel);
+                    // A state that is told again, as to who comes or for a new owner, is no newer: cameras show it already.
+                    if state.seq != self.seq {
+                        self.seq = state.seq;
+                        self.stated = hub_now(&self.links.client) - self.age(parcel);
+                    }
                 }
             }
             Event::Message(parcel) if parcel.name() == "status" => {

@@ -244,7 +244,7 @@ impl Places {
                     events: self.events,
                     seen: self.seen,
                 };
-                let mut drive = Drive::new(links, order.clone(), servo, holding.fence());
+                let mut drive = Drive::new(links, order.clone(), servo, holding.fence(), state.seq);
                 let work = holding
                     .during(async { drop(wanted(cancelled.clone()).await) }, drive.run())
                     .await;
