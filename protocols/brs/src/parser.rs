@@ -14,7 +14,8 @@ use crate::table::{Code, Direction, Table};
 /// by hand, and less than half of the 500 ms after which a robot's watchdog stops it.
 pub const SILENCE: Duration = Duration::from_millis(200);
 
-/// A robot hangs up when [`Parser::astray`] is above this: its station does not write what it reads, and may be telling it to stand.
+/// Either end hangs up when [`Parser::astray`] is above this: the other does not write what it reads. A station may be telling its robot
+/// to stand; a robot without a station stands.
 ///
 /// More than the longest frame and what a person mistypes in a line, and less than five stops.
 pub const MOST_ASTRAY: u32 = 64;

@@ -13,7 +13,7 @@ mod waiting;
 
 use std::collections::VecDeque;
 
-use mom_brs::{Code, Command, Direction, Encoded, Frame, Parser, SILENCE, Table};
+use mom_brs::{Code, Command, Direction, Encoded, Frame, MOST_ASTRAY, Parser, SILENCE, Table};
 
 use self::backoff::Backoff;
 use self::budget::Budget;
@@ -339,7 +339,7 @@ impl Circuit {
             },
             Input::GiveUp => {
                 if matches!(self.phase, Phase::Up(_)) {
-                    self.give_up(now);
+                    self.give_up(now, End::Silent);
                 }
             }
             Input::Connected => {
@@ -440,7 +440,7 @@ impl Circuit {
                 self.fail(now, End::TimedOut);
             }
             Phase::Up(up) if self.silent_at(up).is_some_and(|at| at <= now) => {
-                self.give_up(now);
+                self.give_up(now, End::Silent);
             }
             _ => {}
         }
@@ -481,9 +481,9 @@ impl Circuit {
         };
     }
 
-    fn give_up(&mut self, now: i64) {
+    fn give_up(&mut self, now: i64, end: End) {
         self.outputs.push_back(Output::Abort);
-        self.fail(now, End::Silent);
+        self.fail(now, end);
     }
 
     fn end(&mut self, end: End) {
@@ -522,6 +522,10 @@ impl Circuit {
             }
             self.outputs
                 .push_back(Output::Note(Note::Received(frame, round_trip)));
+        }
+        // A status or an answer found in the middle of something else is worth nothing; without its station the robot stands.
+        if up.parser.astray() > MOST_ASTRAY {
+            self.give_up(now, End::Astray);
         }
     }
 

@@ -59,6 +59,8 @@ pub enum End {
     Broken(Arc<str>),
     /// A NULL had no reply, or the robot read nothing, within three periods.
     Silent,
+    /// More of what it sent was skipped than was read: [`mom_brs::MOST_ASTRAY`] bytes.
+    Astray,
     /// Nobody wants it any more.
     Unwanted,
 }
@@ -71,6 +73,7 @@ impl fmt::Display for End {
             End::Closed => f.write_str("the robot closed the connection"),
             End::Broken(text) => write!(f, "the connection broke: {text}"),
             End::Silent => f.write_str("the robot is silent"),
+            End::Astray => f.write_str("what the robot sends is not understood"),
             End::Unwanted => f.write_str("disconnected on request"),
         }
     }

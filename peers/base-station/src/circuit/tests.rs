@@ -436,6 +436,25 @@ fn silence_within_a_frame_drops_it_and_faults_outlive_the_connection() {
 }
 
 #[test]
+fn a_robot_that_is_not_understood_is_left() {
+    let mut circuit = writable();
+    // What a person types, or a line end after each answer, harms nobody.
+    for at in 0..100 {
+        circuit.take(at * MS, Input::Bytes(b"04 00005\r\n"));
+    }
+    circuit.take(SECOND, Input::Bytes(&[b'?'; 60]));
+    assert_eq!(circuit.state(), State::Writable);
+    // An answer to a NULL that is found in the middle of it proves nothing.
+    circuit.take(SECOND, Input::Bytes(b"?00"));
+    circuit.take(SECOND, Input::Bytes(b"????????"));
+    assert_eq!(asked(&mut circuit, SECOND).last(), Some(&Output::Abort));
+    assert_eq!(
+        (circuit.last_end(), circuit.state()),
+        (Some(&End::Astray), State::Trying)
+    );
+}
+
+#[test]
 fn no_more_is_read_than_the_rate() {
     let mut circuit = writable();
     let mut read = 0;
@@ -448,7 +467,7 @@ fn no_more_is_read_than_the_rate() {
             circuit.take(now, Input::Time);
             wakes += 1;
         } else {
-            let bytes = vec![b'x'; may.min(512)];
+            let bytes = vec![b'0'; may.min(512)];
             read += bytes.len();
             circuit.take(now, Input::Bytes(&bytes));
         }

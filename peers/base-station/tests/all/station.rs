@@ -189,6 +189,26 @@ async fn a_robot_that_says_nothing_any_more_is_left_and_tried_again() {
     writable(&station, 1).await;
 }
 
+#[tokio::test]
+async fn a_robot_that_is_not_understood_is_left_and_tried_again() {
+    let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
+    let port = listener.local_addr().expect("an address").port();
+    let station = station(&[port], Options::default());
+    station.connect_all();
+    for _ in 0..2 {
+        let (mut robot, _) = listener.accept().await.expect("the station connects");
+        robot.write_all(b"00").await.expect("it reads");
+        writable(&station, 1).await;
+        robot.write_all(&[b'?'; 100]).await.expect("it reads");
+        let ended = timeout(PATIENCE, robot.read_to_end(&mut Vec::new())).await;
+        let error = ended.expect("it ends").expect_err("not in order");
+        assert_eq!(error.kind(), ErrorKind::ConnectionReset);
+    }
+    let end = until(&station, 1, |snapshot| snapshot.last_end.is_some()).await;
+    assert_eq!(end.last_end, Some(End::Astray));
+    station.close().await;
+}
+
 /// What a gateway says at once, before it hears the first of the notes that all of it has been written.
 #[tokio::test]
 async fn the_longest_way_goes_out_in_one_turn_and_nobody_misses_an_entry() {
