@@ -159,6 +159,10 @@ impl Blocks {
         match done {
             true => {
                 self.make_room(index);
+                // The jaws may have left an edge of it a little in what it lies on.
+                let below = self.surface_below(index);
+                let block = &mut self.all[index];
+                block.z = block.z.max(below + block.size / 2.0);
                 Motion::Rests
             }
             false => Motion::Settles(speed),

@@ -459,6 +459,20 @@ mod tests {
         }
     }
 
+    /// The hand stops where it touches something, a little way in.
+    #[test]
+    fn an_edge_that_is_a_little_in_the_table_comes_out_as_the_block_lies_flat() {
+        let mut blocks = lab_with(None);
+        let hand = over_red(0.0, 0.0, 20.0, 0.0).pose;
+        blocks.grasp(0, &hand);
+        blocks.carry(&Pose { tilt: -2.7, ..hand });
+        assert!(blocks.all()[0].solid().bottom() < -0.9);
+        blocks.release();
+        settle(&mut blocks);
+        let red = &blocks.all()[0];
+        assert!((red.z - 20.0).abs() < 1e-9 && red.tilt == 0.0, "{red:?}");
+    }
+
     #[test]
     fn a_fall_of_196_mm_takes_a_fifth_of_a_second() {
         let mut blocks = Blocks::new([Block::new("red", [0; 3], 0.0, 0.0, 0.0)]);
