@@ -12,7 +12,7 @@ pub const LIMIT: WheelTime = 500_000;
 const STEP: f64 = 50.0;
 /// mm: a point is passed when the robot is as near as this.
 const PASSED: f64 = 60.0;
-/// mm along the trail to the point that it steers for. By so much it may cut a corner.
+/// mm along the trail to the point that it steers for. By so much it may cut a corner, and by [`PASSED`] more where the trail turns back.
 const SIGHT: f64 = 150.0;
 /// mm: nearer to its place than this it stands.
 const CLOSE: f64 = 20.0;
@@ -307,6 +307,14 @@ mod tests {
         assert!(follower.trail.len() <= 3, "{}", follower.trail.len());
     }
 
+    /// It cuts more than where the way bends, as it passes points of both legs at once.
+    #[test]
+    fn it_keeps_its_distance_where_the_leader_turns_back() {
+        let points = [(3055.448, 1565.57), (2547.564, 1383.1), (3052.179, 1773.839)];
+        let (_, _, gap) = convoy(&points.map(|(x, y)| Point::new(x, y)), 697.2, 1);
+        assert!(gap > 697.2 - SIGHT - PASSED, "{gap}");
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(60))]
 
@@ -319,7 +327,7 @@ mod tests {
         ) {
             let points: Vec<Point> = points.into_iter().map(|(x, y)| Point::new(x, y)).collect();
             let (_, _, gap) = convoy(&points, distance, age * TICK);
-            prop_assert!(gap > distance - SIGHT, "{gap} of {distance}");
+            prop_assert!(gap > distance - SIGHT - PASSED, "{gap} of {distance}");
         }
     }
 }
