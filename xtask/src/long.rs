@@ -1,4 +1,4 @@
-//! `cargo xtask long`: what takes too long for each change: the broker's threads in many orders, random logs by the thousand, minutes of random load, a thousand lost
+//! `cargo xtask long`: what takes too long for each change: the broker's threads in many orders, properties with new seeds, random logs by the thousand, minutes of random load, a thousand lost
 //! connections on each door, minutes of large messages that wait between short heartbeats, minutes of a thousand robots, a million
 //! packets of a mirrored one, and two thousand trials of the motion oracle.
 
@@ -29,7 +29,7 @@ pub(crate) fn run(root: &Path, minutes: u64) -> Result<bool> {
     Ok(ok)
 }
 
-fn steps(root: &Path, minutes: u64) -> [Command; 7] {
+fn steps(root: &Path, minutes: u64) -> [Command; 8] {
     let test = |package: &str, name: &str| {
         let mut test = cargo(root);
         test.args([
@@ -43,6 +43,16 @@ fn steps(root: &Path, minutes: u64) -> [Command; 7] {
         ]);
         test
     };
+    // CI has a fixed seed.
+    let mut properties = cargo(root);
+    properties.args([
+        "test",
+        "--locked",
+        "--workspace",
+        "--exclude",
+        "mom-tests",
+        "--lib",
+    ]);
     let mut logs = test("mom-hub", "random");
     logs.env("MOM_CASES", "5000").env("MOM_STEPS", "200");
     logs.args(["--", "--nocapture"]);
@@ -70,7 +80,7 @@ fn steps(root: &Path, minutes: u64) -> [Command; 7] {
     let mut motions = test("mom-tests", "all");
     motions.env("MOM_ORACLE_TRIALS", TRIALS_OF_EACH);
     motions.args(["oracle", "--", "--nocapture"]);
-    [logs, load, losses, beats, swarm, packets, motions]
+    [properties, logs, load, losses, beats, swarm, packets, motions]
 }
 
 #[cfg(test)]
@@ -79,7 +89,7 @@ mod tests {
 
     #[test]
     fn the_load_lasts_as_long_as_is_said() {
-        let [_, load, _, beats, swarm, _, _] = steps(Path::new("."), 10);
+        let [_, _, load, _, beats, swarm, _, _] = steps(Path::new("."), 10);
         for (step, key, name) in [
             (load, "MOM_LOAD_SECONDS", "random_load"),
             (beats, "MOM_HEARTBEAT_SECONDS", "heartbeat"),
