@@ -217,6 +217,7 @@ export const objects = {
   image: (ms: number) => `picture ${duration(ms)} old`,
   delay: (ms: number) => `commands take ${duration(ms)}`,
   sent: (count: number) => (count === 1 ? "1 command" : `${count} commands`),
+  ending: "Ending: waiting until the robot stands",
   states: { aligned: "Aligned", failed: "Failed", cancelled: "Cancelled", lost: "The agent lost the token" } as Record<string, string>,
   silent: "The agent does not answer. Look who is in its channel.",
   back: "The token is yours again.",

@@ -22,7 +22,8 @@ export interface Manner {
   states: Record<string, string>;
 }
 
-const WORKING = ["accepted", "working"];
+/** While it is `ending`, the token is on its way back, and the device is waited for. */
+const WORKING = ["accepted", "working", "ending"];
 
 export class AgentTask {
   phase = $state<"idle" | "asking" | "lending" | "working" | "over">("idle");
