@@ -16,6 +16,7 @@ use rustls::crypto::CryptoProvider;
 use sha2::{Digest as _, Sha256};
 use tokio::net::TcpStream;
 
+use crate::carrier::next_turn;
 use crate::{TcpState, options};
 
 pub use client::{ClientTls, Identity, Trust};
@@ -148,7 +149,7 @@ impl TlsLink {
         loop {
             ready!(self.stream.poll_read_ready(context))?;
             match self.receive(room) {
-                Ok(None) => {}
+                Ok(None) => return next_turn(context),
                 Ok(Some(read)) => return Poll::Ready(Ok(read)),
                 Err(error) if error.kind() == ErrorKind::WouldBlock => {}
                 Err(error) => return Poll::Ready(Err(error)),

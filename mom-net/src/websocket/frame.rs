@@ -1,6 +1,7 @@
 //! The frames of RFC 6455: their heads, their masks, and what is in them.
 
 use bytes::{BufMut, BytesMut};
+use mom_proto::{Gcra, Micros, Pace};
 
 /// What a frame is.
 pub(super) const CONTINUATION: u8 = 0;
@@ -15,6 +16,10 @@ const MASKED: u8 = 0x80;
 
 /// The most that a control frame holds.
 const CONTROL: u64 = 125;
+
+/// Frames that bring no payload, control frames and empty ones: so many each second, and so many at once. No client needs a tenth of
+/// it, and each of them is work that nothing else counts.
+const IDLE: Pace = Pace::per_second(100, 1000);
 
 /// Answers to pings that may wait: older ones than these say nothing that a newer one does not.
 const ANSWERS: usize = 4096;
@@ -129,6 +134,8 @@ pub(super) struct Incoming {
     frame: Option<Frame>,
     /// Fragments of a message have come, and more will.
     in_message: bool,
+    /// Frames without payload that have come.
+    idle: Gcra,
     /// The payload of a control frame.
     control: Vec<u8>,
     /// A character of a text whose end is still to come.
@@ -170,19 +177,23 @@ impl Rules {
 }
 
 impl Incoming {
-    /// Takes frames apart: what is for the reader goes to `room`, answers to the other side to `out`.
+    /// Takes frames apart: what is for the reader goes to `room`, answers to the other side to `out`. `now` counts from anywhere.
     pub(super) fn take(
         &mut self,
         mut arrived: &mut [u8],
         rules: Rules,
         room: &mut impl BufMut,
         out: &mut BytesMut,
+        now: Micros,
     ) -> Result<(), Fault> {
         while !self.closed {
             let mut frame = match self.frame {
                 Some(frame) => frame,
                 None => match self.take_head(&mut arrived, rules)? {
-                    Some(frame) => frame,
+                    Some(frame) => {
+                        self.count_idle(&frame, now)?;
+                        frame
+                    }
                     None => return Ok(()),
                 },
             };
@@ -289,6 +300,18 @@ impl Incoming {
             size,
             left: size,
         })
+    }
+
+    /// Counts a frame that brings nothing.
+    fn count_idle(&mut self, frame: &Frame, now: Micros) -> Result<(), Fault> {
+        let idle = frame.size == 0 || matches!(frame.kind, PING | PONG);
+        match idle && self.idle.take(&IDLE, 1, now).is_err() {
+            true => Err(Fault {
+                status: 1008,
+                text: "at most 100 control frames and empty frames a second, and 1000 at once",
+            }),
+            false => Ok(()),
+        }
     }
 
     /// Checks that a text is one, as far as it has come.

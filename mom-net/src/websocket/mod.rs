@@ -14,13 +14,14 @@ mod tests;
 use std::cell::RefCell;
 use std::io::{self, ErrorKind, IoSlice};
 use std::task::{Context, Poll, ready};
+use std::time::Instant;
 
 use bytes::{Buf as _, BufMut, BytesMut};
-use mom_proto::{Code, WireError};
+use mom_proto::{Code, Micros, WireError};
 use parking_lot::Mutex;
 
 use crate::TcpState;
-use crate::carrier::Carrier;
+use crate::carrier::{Carrier, next_turn};
 use frame::{CONTINUATION, Fault, Head, Incoming, Rules};
 
 pub(crate) use handshake::connect;
@@ -50,6 +51,7 @@ pub(crate) struct WebSocket {
 
 #[derive(Debug)]
 struct State {
+    began: Instant,
     incoming: Incoming,
     /// What came with the handshake.
     first: BytesMut,
@@ -74,6 +76,7 @@ struct State {
 impl WebSocket {
     fn new(carrier: Carrier, rules: Rules, first: BytesMut) -> WebSocket {
         let state = State {
+            began: Instant::now(),
             incoming: Incoming::default(),
             first,
             out: BytesMut::new(),
@@ -99,43 +102,44 @@ impl WebSocket {
         context: &mut Context<'_>,
     ) -> Poll<io::Result<usize>> {
         let before = room.remaining_mut();
-        loop {
-            let open = ARRIVED.with_borrow_mut(|arrived| {
-                arrived.clear();
-                let mut state = self.state.lock();
-                if let Some(fault) = state.fault {
-                    return Poll::Ready(Err(io::Error::new(ErrorKind::InvalidData, wire_error(fault))));
-                }
-                if state.incoming.closed {
-                    // The close came together with what was read before it.
+        let open = ARRIVED.with_borrow_mut(|arrived| {
+            arrived.clear();
+            let mut state = self.state.lock();
+            if let Some(fault) = state.fault {
+                return Poll::Ready(Err(io::Error::new(ErrorKind::InvalidData, wire_error(fault))));
+            }
+            if state.incoming.closed {
+                // The close came together with what was read before it.
+                return Poll::Ready(Ok(false));
+            }
+            let first = std::mem::take(&mut state.first);
+            drop(state);
+            if first.is_empty() {
+                let mut some = arrived.limit(AT_ONCE.min(room.remaining_mut()));
+                if ready!(self.carrier.poll_read(&mut some, context))? == 0 {
                     return Poll::Ready(Ok(false));
                 }
-                let first = std::mem::take(&mut state.first);
-                drop(state);
-                if first.is_empty() {
-                    let mut some = arrived.limit(AT_ONCE.min(room.remaining_mut()));
-                    if ready!(self.carrier.poll_read(&mut some, context))? == 0 {
-                        return Poll::Ready(Ok(false));
-                    }
-                } else {
-                    arrived.extend_from_slice(&first);
-                }
-                Poll::Ready(self.take_in(arrived, room))
-            });
-            let read = before - room.remaining_mut();
-            match ready!(open) {
-                Err(error) => return Poll::Ready(Err(error)),
-                Ok(true) if read == 0 => {}
-                Ok(_) => return Poll::Ready(Ok(read)),
+            } else {
+                arrived.extend_from_slice(&first);
             }
+            Poll::Ready(self.take_in(arrived, room))
+        });
+        let read = before - room.remaining_mut();
+        match ready!(open)? {
+            // What it has read for nothing was its turn.
+            true if read == 0 => next_turn(context),
+            _ => Poll::Ready(Ok(read)),
         }
     }
 
     /// Takes apart what has arrived; false at the end.
     fn take_in(&self, arrived: &mut [u8], room: &mut impl BufMut) -> io::Result<bool> {
         let mut state = self.state.lock();
-        let State { incoming, out, .. } = &mut *state;
-        let taken = incoming.take(arrived, self.rules, room, out);
+        let State {
+            incoming, out, began, ..
+        } = &mut *state;
+        let now = began.elapsed().as_micros() as Micros;
+        let taken = incoming.take(arrived, self.rules, room, out, now);
         if let Err(fault) = taken {
             state.fault.get_or_insert(fault);
         } else if state.incoming.closed {

@@ -29,7 +29,7 @@ const CLIENT_TEXT: Rules = Rules { text: true, ..CLIENT };
 fn arrive(rules: Rules, pieces: &[&[u8]]) -> Result<(Vec<u8>, Vec<u8>), Fault> {
     let (mut incoming, mut room, mut out) = (Incoming::default(), Vec::new(), BytesMut::new());
     for piece in pieces {
-        incoming.take(&mut piece.to_vec(), rules, &mut room, &mut out)?;
+        incoming.take(&mut piece.to_vec(), rules, &mut room, &mut out, 0)?;
     }
     Ok((room, out.to_vec()))
 }
@@ -90,6 +90,37 @@ fn the_examples_of_the_standard() {
         assert_eq!(&whole[..head.len()], head);
         assert_eq!(read(CLIENT, &whole), payload);
     }
+}
+
+/// Work that brings nothing is bounded, whatever the frames are called and wherever they are cut.
+#[test]
+fn frames_without_payload_have_a_rate() {
+    let ping = frame(PING, true, b"", HUB);
+    let full = frame(PING, true, &[7; 125], HUB);
+    let pong = frame(PONG, true, b"?", HUB);
+    let empty = frame(BINARY, true, b"", HUB);
+    let parts = [
+        frame(BINARY, false, b"", HUB),
+        frame(CONTINUATION, true, b"", HUB),
+    ]
+    .concat();
+    for idle in [ping, full, pong, empty, parts] {
+        let frames = if idle.len() == 12 { 2 } else { 1 };
+        let most = idle.repeat(1000 / frames);
+        assert_eq!(arrive(HUB, &[&most]).expect("a burst").0, b"");
+        assert_eq!(status(HUB, &[most, idle].concat()), 1008);
+    }
+    let (mut incoming, mut room, mut out) = (Incoming::default(), Vec::new(), BytesMut::new());
+    let mut take = |count: usize, now| {
+        let mut bytes = frame(PING, true, b"", HUB).repeat(count);
+        incoming.take(&mut bytes, HUB, &mut room, &mut out, now)
+    };
+    assert_eq!(take(1000, 0), Ok(()));
+    assert_eq!(take(100, 1_000_000), Ok(()), "a hundred come back each second");
+    assert_eq!(take(1, 1_000_000).map_err(|fault| fault.status), Err(1008));
+    // Those that bring something are no part of it.
+    let payload = frame(BINARY, true, b"?", HUB).repeat(5000);
+    assert_eq!(read(HUB, &payload).len(), 5000);
 }
 
 /// The sizes at which a head grows.
