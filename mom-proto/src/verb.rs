@@ -3,7 +3,7 @@
 use std::fmt;
 
 use crate::nearest::nearest;
-use crate::{Code, Family, WireError};
+use crate::{Code, Family, Limits, WireError};
 
 /// A request of a peer: the family and name of its parcel.
 ///
@@ -87,6 +87,12 @@ pub enum Verb {
 }
 
 impl Verb {
+    /// The most bytes of a message's content that the hub opens, where it has to know what a device says of itself.
+    pub const OPENED: usize = 64 * 1024;
+
+    /// The most bytes of a sign of life's content: times and counts.
+    pub const SIGN_OF_LIFE: usize = 1024;
+
     /// All verbs.
     pub const ALL: [Verb; 37] = [
         Verb::Login,
@@ -231,6 +237,23 @@ impl Verb {
         }
     }
 
+    /// The most bytes of content that the hub opens of a parcel that is no message: more is refused before it is looked at. Of a message
+    /// the hub opens nothing that it does not need, and nothing above [`Verb::OPENED`].
+    pub fn opens(self, limits: &Limits) -> usize {
+        match self {
+            Verb::Login | Verb::Answer | Verb::Resume => limits.before_login.min(limits.control),
+            Verb::Ping | Verb::Pong | Verb::Ack | Verb::Resent => Self::SIGN_OF_LIFE,
+            Verb::Logout | Verb::Create | Verb::Lookup | Verb::List | Verb::Info => limits.control,
+            Verb::Join | Verb::Device | Verb::Leave | Verb::Delete | Verb::Members => limits.control,
+            Verb::Stats | Verb::Audit | Verb::Explain | Verb::WhatIf => limits.control,
+            Verb::Invite | Verb::Expel | Verb::Verdict => limits.control,
+            Verb::Grab | Verb::Release | Verb::Renew | Verb::Give | Verb::Accept => limits.control,
+            Verb::Decline | Verb::Request | Verb::Break => limits.control,
+            Verb::Inhibit | Verb::Uninhibit => limits.control,
+            Verb::Send | Verb::Stop | Verb::Unstop => limits.control.min(Self::OPENED),
+        }
+    }
+
     /// Whether a parcel asks for it; what is no request is a right that another request needs as well.
     fn is_asked_for(self) -> bool {
         self != Verb::Device
@@ -284,6 +307,16 @@ mod tests {
         assert_eq!(Verb::from_word("device"), Some(Verb::Device));
         let error = Verb::of(Family::Context, "device").expect_err("no request");
         assert_eq!(error.code, Code::UNKNOWN_VERB);
+    }
+
+    #[test]
+    fn little_is_opened_of_whatever_is_asked() {
+        let limits = Limits::default();
+        for verb in Verb::ALL {
+            assert!(verb.opens(&limits) <= limits.control, "{verb}");
+        }
+        assert_eq!(Verb::Ack.opens(&limits), 1024);
+        assert_eq!(Verb::Login.opens(&limits), 16 * 1024);
     }
 
     #[test]

@@ -114,6 +114,8 @@ struct Arrival {
     behind: Option<Box<Behind>>,
     /// What is here of parcels that are not whole.
     unfinished: Option<Unfinished>,
+    /// The bytes of a whole one that waits for a thread which opens it.
+    opening: usize,
 }
 
 impl Arrival {
@@ -376,6 +378,10 @@ impl Connection {
             }
             Frame::Parcel(parcel) => parcel,
         };
+        if let Err(error) = self.check_content(&parcel) {
+            self.refuse(&error, parcel.id, touched);
+            return Next::Frame;
+        }
         match parcel.family {
             Family::Message if self.logged_in => {
                 return match self.gate() == Gate::Open || is_control(&parcel) {
@@ -390,17 +396,6 @@ impl Connection {
             }
             Family::Login if login::concerns(&parcel) => return Next::Login(parcel),
             _ if self.logged_in => {
-                let most = self.services.limits.control;
-                if parcel
-                    .content
-                    .as_ref()
-                    .is_some_and(|content| content.size() > most)
-                {
-                    let text = format!("the content of a parcel that is no message has at most {most} bytes");
-                    let error = WireError::new(Code::TOO_LONG, text).slot("content");
-                    self.refuse(&error, parcel.id, touched);
-                    return Next::Frame;
-                }
                 let now = self.services.board.clock.now();
                 if let Err(error) = self.requests.take(&parcel, self.services.limits.requests, now) {
                     self.refuse(&error, parcel.id, touched);
@@ -429,6 +424,29 @@ impl Connection {
             }
         }
         Next::Frame
+    }
+
+    /// Refuses content that is larger than what is opened of such a parcel, before anything looks into it. That of messages stays closed.
+    fn check_content(&self, parcel: &Parcel) -> Result<(), WireError> {
+        let Some(content) = parcel
+            .content
+            .as_ref()
+            .filter(|_| parcel.family != Family::Message)
+        else {
+            return Ok(());
+        };
+        let limits = &self.services.limits;
+        let verb = Verb::of(parcel.family, &parcel.name);
+        let most = verb.map_or(limits.control, |verb| verb.opens(limits));
+        if content.size() <= most {
+            return Ok(());
+        }
+        let text = format!(
+            "the content of {} {} has at most {most} bytes",
+            parcel.family,
+            parcel.name()
+        );
+        Err(WireError::new(Code::TOO_LONG, text).slot("content"))
     }
 
     /// Sends a message, unless the hub has no memory for more of this user.
@@ -464,7 +482,8 @@ impl Connection {
         let held = reader.held();
         self.watch_unfinished(held, whole);
         if let Some(charge) = &mut self.charge {
-            let held = held + self.arrival.behind.as_ref().map_or(0, |behind| behind.bytes());
+            let behind = self.arrival.behind.as_ref().map_or(0, |behind| behind.bytes());
+            let held = held + behind + self.arrival.opening;
             charge.set(if held > SMALL { held } else { 0 });
         }
     }

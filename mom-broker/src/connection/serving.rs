@@ -68,6 +68,7 @@ impl Serving {
                 login_by,
                 behind: None,
                 unfinished: None,
+                opening: 0,
             }),
             logged_in: false,
             failures: 0,

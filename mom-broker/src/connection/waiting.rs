@@ -163,13 +163,21 @@ impl Connection {
         touched: &mut Touched,
     ) -> Result<Frame, End> {
         let (answer, answered) = oneshot::channel();
+        self.arrival.opening = frame.size();
+        self.count_held(reader, true);
+        let frame = Arc::new(frame);
+        let job = Arc::downgrade(&frame);
         self.services.board.workers.run(move || {
-            let frame = frame.open().map(closed);
-            // Nobody listens if the connection has ended.
-            let _ = answer.send(frame);
+            // A connection that has ended has taken it along.
+            if let Some(frame) = job.upgrade() {
+                let _ = answer.send(frame.open().map(closed));
+            }
         });
         // Nothing passes what nobody has read: it may decide what follows.
-        match self.meanwhile(answered, reader, false, touched).await? {
+        let opened = self.meanwhile(answered, reader, false, touched).await;
+        drop(frame);
+        self.arrival.opening = 0;
+        match opened? {
             Ok(frame) => frame.map_err(|error| Some(error).into()),
             Err(_) => Err(End::Over(None)),
         }

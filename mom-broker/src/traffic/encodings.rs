@@ -8,6 +8,7 @@ use mom_proto::{Code, Content, HARD_DEPTH, Limit, Parcel, WireError, binary};
 use mom_system::Workers;
 
 use crate::traffic::later_frame::LaterFrame;
+use crate::traffic::memory::Account;
 use crate::traffic::replay::Replay;
 
 /// A larger parcel is written in another form outside the channel's critical section, when its first receiver comes to it.
@@ -321,6 +322,15 @@ impl Encodings {
         let replay = self.replay.as_ref().map_or(0, |replay| replay.charge());
         let others = [&self.xml, &self.json, &self.unpacked, &self.packed];
         others.iter().map(|other| other.size()).sum::<usize>() + binary + local + replay
+    }
+
+    /// Charges there what is written later, beside [`Encodings::memory`].
+    pub(crate) fn charge_to(&self, account: &Arc<Account>) {
+        for other in [&self.xml, &self.json, &self.unpacked, &self.packed] {
+            if let OtherForm::Later(later) = other {
+                later.charge_to(account);
+            }
+        }
     }
 
     /// The parcels in it, read again from whatever form they are in.

@@ -13,6 +13,7 @@ use mom_system::Workers;
 use tokio::sync::Notify;
 
 use crate::traffic::encodings::Bounds;
+use crate::traffic::memory::{Account, Charge};
 
 /// One parcel for all its receivers that speak this form.
 #[derive(Debug)]
@@ -23,6 +24,10 @@ pub(crate) struct LaterFrame {
     bounds: Bounds,
     workers: Arc<Workers>,
     begun: AtomicBool,
+    /// Who is charged for it, if somebody is.
+    account: OnceLock<Arc<Account>>,
+    /// For what was written, beside the parcel.
+    charge: OnceLock<Charge>,
     /// None inside: it has no such form, or a larger one than receivers were promised.
     written: OnceLock<Option<Encoded>>,
     done: Notify,
@@ -43,6 +48,8 @@ impl LaterFrame {
             bounds,
             workers,
             begun: AtomicBool::new(false),
+            account: OnceLock::new(),
+            charge: OnceLock::new(),
             written: OnceLock::new(),
             done: Notify::new(),
         }
@@ -63,11 +70,21 @@ impl LaterFrame {
         self.written.get().map(Option::as_ref)
     }
 
-    /// Has it written, if nobody has so far, and waits for that.
+    /// From now on, what it takes once it is written is charged there.
+    pub(crate) fn charge_to(&self, account: &Arc<Account>) {
+        let _ = self.account.set(Arc::clone(account));
+    }
+
+    /// Has it written, if nobody has so far, and waits for that. What was dropped everywhere before its turn is not written, and no job
+    /// keeps it.
     pub(crate) async fn write(self: &Arc<LaterFrame>) {
         if !self.begun.swap(true, Ordering::AcqRel) {
-            let later = Arc::clone(self);
-            self.workers.run(move || later.write_now());
+            let later = Arc::downgrade(self);
+            self.workers.run(move || {
+                if let Some(later) = later.upgrade() {
+                    later.write_now();
+                }
+            });
         }
         loop {
             // Made before the look, so that no end is missed.
@@ -80,7 +97,11 @@ impl LaterFrame {
     }
 
     fn write_now(&self) {
-        let _ = self.written.set(self.bounds.write(self.form, &self.parcel));
+        let written = self.bounds.write(self.form, &self.parcel);
+        if let (Some(account), Some(frame)) = (self.account.get(), &written) {
+            let _ = self.charge.set(account.charge(frame.len()));
+        }
+        let _ = self.written.set(written);
         self.done.notify_waiters();
     }
 }

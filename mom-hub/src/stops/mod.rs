@@ -17,15 +17,12 @@ pub(crate) use stopping::{Stopping, reason_of};
 
 use std::collections::BTreeSet;
 
-use mom_proto::{Content, ContextNumber, Parcel, Value};
+use mom_proto::{Content, ContextNumber, Parcel, Value, Verb};
 
 use crate::token::state::Token;
 use crate::world::World;
 use crate::world::stops::{Kept, Storing};
 use crate::{Effect, PeerId, Ticket};
-
-/// Content of more bytes is not looked at: it is passed on all the same.
-const LOOKED_AT: usize = 64 * 1024;
 
 impl World {
     /// A stop that was handed out, or an unstop that is to be, is kept now, or will never be.
@@ -108,6 +105,6 @@ fn map_of(parcel: &Parcel) -> Option<mom_proto::Map> {
 fn read(parcel: &Parcel) -> Option<Value> {
     let content = parcel.content.as_ref();
     content
-        .filter(|content| content.size() <= LOOKED_AT)
+        .filter(|content| content.size() <= Verb::OPENED)
         .and_then(|content: &Content| content.to_value().ok())
 }
