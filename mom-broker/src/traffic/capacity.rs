@@ -72,8 +72,26 @@ pub(crate) fn no_capacity(
         format!(" within {} ms", waited.as_millis())
     });
     let text = format!("{who}{others} in {path} had no room for it{waited}; nobody got it");
-    let names: Vec<Value> = slow.iter().take(NAMED).map(|name| Value::from(&**name)).collect();
     WireError::new(Code::TRY_LATER, text)
-        .detail("slow", names)
+        .detail("slow", names(slow))
         .retry_after(retry)
+}
+
+/// When who has too much waiting for a device may try again.
+const SPARED: Duration = Duration::from_secs(1);
+
+/// `try-later`, with the names of devices that did not get what needs no token. Others got it.
+pub(crate) fn spared(devices: &[Arc<str>], path: &Path) -> WireError {
+    let who = devices.first().map_or("a device", |name| &**name);
+    let text = format!(
+        "{who} in {path} is slower than what is sent to it without a token, and did not get it; others did"
+    );
+    WireError::new(Code::TRY_LATER, text)
+        .detail("slow", names(devices))
+        .retry_after(SPARED)
+}
+
+/// Some of these names.
+pub(crate) fn names(slow: &[Arc<str>]) -> Vec<Value> {
+    slow.iter().take(NAMED).map(|name| Value::from(&**name)).collect()
 }

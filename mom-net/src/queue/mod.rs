@@ -174,6 +174,14 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         self.reliable_bytes
     }
 
+    /// The data that waits and was not begun.
+    pub fn data(&self) -> impl Iterator<Item = &I> {
+        self.data
+            .values()
+            .flat_map(DataLane::iter)
+            .map(|entry| &*entry.item)
+    }
+
     /// The most bytes of data that may wait.
     pub fn limit(&self) -> usize {
         self.limit

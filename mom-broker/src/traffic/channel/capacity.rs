@@ -107,7 +107,7 @@ impl State {
     ) -> Result<Box<Parcel>, Box<NoCapacity>> {
         let delivery = parcel.delivery.unwrap_or(self.route.delivery);
         // Who is no member any more waits for nobody: the hub says why not.
-        if !self.waits(lane_of(&parcel), delivery) || self.route.position(sender).is_none() {
+        if !self.waits(lane_of(&parcel, false), delivery) || self.route.position(sender).is_none() {
             return Ok(parcel);
         }
         let Ok(receivers) = receivers(&self.route, sender, &parcel) else {

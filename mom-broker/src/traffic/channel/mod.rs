@@ -69,6 +69,8 @@ pub(crate) struct Delivered {
     pub(crate) shortened: Option<Option<u64>>,
     /// Receivers that were too slow for what may not be dropped.
     pub(crate) too_slow: Vec<Arc<Outbox>>,
+    /// Devices that did not get what needs no token, as its sender or others have too much waiting for them.
+    pub(crate) spared: Vec<Arc<str>>,
 }
 
 impl Channel {
@@ -78,6 +80,7 @@ impl Channel {
         outbox: impl Fn(PeerId) -> Option<Arc<Outbox>>,
     ) -> Channel {
         let outboxes: Vec<_> = route.members.iter().map(|member| outbox(member.peer)).collect();
+        note_devices(&route, &outboxes);
         let gate = Arc::new(AtomicU64::new(fence_open(&route)));
         let statistics = Statistics::new(&route);
         let history = route.keep.map(History::new);
@@ -133,6 +136,7 @@ impl Channel {
             }
         });
         let outboxes: Vec<_> = outboxes.collect();
+        note_devices(&route, &outboxes);
         state.binary = all_binary(&outboxes);
         state.thins = thins(&route);
         state.outboxes = outboxes;
@@ -252,7 +256,10 @@ impl State {
                     let count = u64::from(packet.count);
                     self.statistics
                         .dropped(Some(place), DropReason::Full, packet.delivery, count);
-                    result.too_slow.push(Arc::clone(outbox));
+                    match packet.gate.is_none() && outbox.is_device() {
+                        true => result.spared.push(name()),
+                        false => result.too_slow.push(Arc::clone(outbox)),
+                    }
                 }
             }
             if first {
@@ -267,6 +274,15 @@ fn thins(route: &Route) -> bool {
     route.members.iter().any(|member| member.thinning.thins())
 }
 
+/// A device's outbox is filled by nobody but the owner of its token.
+fn note_devices(route: &Route, outboxes: &[Option<Arc<Outbox>>]) {
+    for (member, outbox) in route.members.iter().zip(outboxes) {
+        if let Some(outbox) = outbox.as_ref().filter(|_| member.device) {
+            outbox.note_device();
+        }
+    }
+}
+
 fn all_binary(outboxes: &[Option<Arc<Outbox>>]) -> bool {
     outboxes
         .iter()
@@ -274,12 +290,18 @@ fn all_binary(outboxes: &[Option<Arc<Outbox>>]) -> bool {
         .all(|outbox| outbox.form().is_some_and(Form::is_binary))
 }
 
-/// The lane of a message.
-pub(crate) fn lane_of(parcel: &Parcel) -> Lane {
+/// By so much what the owner of a token says goes before all that needs none: more than any two priorities are apart.
+const GUARDED: i32 = 1000;
+
+/// The lane of a message; `guarded` = a token guards it.
+pub(crate) fn lane_of(parcel: &Parcel, guarded: bool) -> Lane {
     match Verb::of(parcel.family, &parcel.name) {
         Ok(Verb::Stop) => Lane::Stop,
         Ok(Verb::Unstop) => Lane::Control,
-        _ => Lane::Data(parcel.priority.unwrap_or_default()),
+        _ => {
+            let priority = parcel.priority.unwrap_or_default();
+            Lane::Data(priority + if guarded { GUARDED } else { 0 })
+        }
     }
 }
 
@@ -342,7 +364,7 @@ pub(crate) fn hub_origin(parcel: &Parcel) -> Origin {
 /// What the hub says: by the control lane, but for a stop that holds, which goes as any stop does.
 pub(crate) fn by_hub(parcel: &Parcel, encodings: Encodings, account: Option<&Arc<Account>>) -> Arc<Packet> {
     let mut packet = control(parcel.family, encodings, hub_origin(parcel), account);
-    if let (Lane::Stop, Some(packet)) = (lane_of(parcel), Arc::get_mut(&mut packet)) {
+    if let (Lane::Stop, Some(packet)) = (lane_of(parcel, false), Arc::get_mut(&mut packet)) {
         packet.lane = Lane::Stop;
     }
     packet

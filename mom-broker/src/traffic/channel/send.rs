@@ -70,6 +70,8 @@ pub(crate) struct Sent {
     pub(crate) route: Arc<Route>,
     /// The reference of the receipt that was asked for.
     pub(crate) receipt: Option<Option<u64>>,
+    /// The id of a single message.
+    pub(crate) reference: Option<u64>,
 }
 
 /// A message that nobody has.
@@ -209,7 +211,7 @@ impl State {
         let receipt = (admitted.parcel.receipt == Some(true)).then_some(admitted.parcel.id);
         let (message, reference) = (Arc::clone(&admitted.parcel.name), admitted.parcel.id);
         match self.try_deliver(sender, admitted) {
-            Ok(delivered) => self.sent(delivered, 1, receipt),
+            Ok(delivered) => self.sent(delivered, 1, receipt, reference),
             Err(why) => self.unsent(why, message, reference),
         }
     }
@@ -223,7 +225,7 @@ impl State {
             now,
             when_full,
         } = admitted;
-        let lane = lane_of(&parcel);
+        let lane = lane_of(&parcel, parcel.fence.is_some());
         let shortened = (lane == Lane::Stop && shorten(&mut parcel)).then_some(parcel.id);
         // Stops and unstops are never refused for load.
         let rate = rate.filter(|_| matches!(lane, Lane::Data(_)));
@@ -281,7 +283,7 @@ impl State {
         let Some(mut first) = reader.plain_head().filter(|_| self.takes_runs()) else {
             return Outcome::NoRun;
         };
-        if !matches!(lane_of(&first), Lane::Data(_)) {
+        if !matches!(lane_of(&first, false), Lane::Data(_)) {
             return Outcome::NoRun;
         }
         let ingress = ingress(sender, None, clock);
@@ -331,7 +333,7 @@ impl State {
         let packet = Arc::new(Packet {
             charged: Charged::to(self.place_and_account(peer).1.as_ref(), &encodings),
             encodings,
-            lane: Lane::Data(first.priority.unwrap_or_default()),
+            lane: lane_of(&first, first.fence.is_some()),
             delivery: Delivery::Reliable,
             origin: self.origin(peer, &first.name),
             expires_at: None,
@@ -341,7 +343,7 @@ impl State {
             outlives_loss: outlives_loss(&first, first.fence.is_some()),
         });
         let delivered = self.put(&packet, &self.positions(&receivers), ingress.now);
-        self.sent(delivered, count, None)
+        self.sent(delivered, count, None, None)
     }
 
     /// Whether plain messages may go through here as a run: nobody needs another form or only some of them, nothing is
@@ -373,13 +375,20 @@ impl State {
         }
     }
 
-    fn sent(&self, delivered: Delivered, count: u32, receipt: Option<Option<u64>>) -> Outcome {
+    fn sent(
+        &self,
+        delivered: Delivered,
+        count: u32,
+        receipt: Option<Option<u64>>,
+        reference: Option<u64>,
+    ) -> Outcome {
         let route = Arc::clone(&self.route);
         Outcome::Sent(Sent {
             delivered,
             count,
             route,
             receipt,
+            reference,
         })
     }
 

@@ -221,6 +221,16 @@ impl Outbox {
         self.wake.notify_one();
     }
 
+    /// Its peer is a device from now on, wherever it is one.
+    pub(crate) fn note_device(&self) {
+        self.queue.lock().note_device();
+    }
+
+    /// Whether its peer is a device somewhere.
+    pub(crate) fn is_device(&self) -> bool {
+        self.queue.lock().is_device()
+    }
+
     /// Writes what waits as far as the link takes it, and leaves the rest to the writer.
     pub(crate) fn flush(&self) {
         match self.try_flush() {

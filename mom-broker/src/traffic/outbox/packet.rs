@@ -56,16 +56,19 @@ impl Charged {
     /// What a packet of these encodings takes.
     pub(crate) fn to(account: Option<&Arc<Account>>, encodings: &Encodings) -> Charged {
         match account {
-            Some(account) => Charged::To(account.charge(PLACE + encodings.memory())),
+            Some(account) => {
+                encodings.charge_to(account);
+                Charged::To(account.charge(PLACE + encodings.memory()))
+            }
             None => Charged::Nowhere,
         }
     }
 
-    fn is_of(&self, account: &Arc<Account>) -> bool {
+    fn account(&self) -> Option<&Arc<Account>> {
         match self {
-            Charged::Nowhere => false,
-            Charged::To(charge) => charge.is_of(account),
-            Charged::With(packet) => packet.charged.is_of(account),
+            Charged::Nowhere => None,
+            Charged::To(charge) => Some(charge.account()),
+            Charged::With(packet) => packet.charged.account(),
         }
     }
 }
@@ -133,7 +136,12 @@ impl Packet {
 
     /// Whether its memory is charged to this account.
     pub(crate) fn is_of(&self, account: &Arc<Account>) -> bool {
-        self.charged.is_of(account)
+        self.account().is_some_and(|own| Arc::ptr_eq(own, account))
+    }
+
+    /// Where its memory is charged.
+    pub(crate) fn account(&self) -> Option<&Arc<Account>> {
+        self.charged.account()
     }
 
     /// Whether it may no longer leave: its time is over, or its owner owns no more.

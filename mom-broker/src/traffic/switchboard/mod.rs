@@ -13,6 +13,7 @@ use mom_system::sync::{Mutex, Notify};
 use mom_system::{Clock, Workers};
 
 use crate::traffic::batch::{self, BatchWriter};
+use crate::traffic::capacity::{names, spared};
 use crate::traffic::channel::{Channel, LARGEST_STOP, Sent, by_hub, control, hub_origin, stamped};
 use crate::traffic::encodings::{Bounds, Encoder, Encodings};
 use crate::traffic::inquiries::Inquiries;
@@ -305,6 +306,7 @@ impl Switchboard {
             delivered,
             route,
             receipt,
+            reference,
             ..
         } = sent;
         let path = &route.path;
@@ -338,13 +340,19 @@ impl Switchboard {
                 .map(|name| Value::from(&**name))
                 .collect();
             let count = i64::try_from(delivered.delivered).unwrap_or(i64::MAX);
-            let content = Map::new().with("delivered", count).with("dropped", dropped);
+            let mut content = Map::new().with("delivered", count).with("dropped", dropped);
+            if !delivered.spared.is_empty() {
+                content.set("slow", names(&delivered.spared));
+            }
             let mut parcel = Parcel::new(Family::Reply, "ok")
                 .context(path.clone())
                 .content(content);
             parcel.number = Some(route.number);
             parcel.reference = reference;
             self.tell(sender, parcel, touched);
+        } else if !delivered.spared.is_empty() {
+            let refused = spared(&delivered.spared, path).to_parcel(reference);
+            self.tell(sender, refused, touched);
         }
     }
 

@@ -112,7 +112,7 @@ impl Receiver {
         Packet {
             charged: Charged::Nowhere,
             encodings,
-            lane: lane_of(&parcel),
+            lane: lane_of(&parcel, item.guarded),
             delivery: parcel.delivery.unwrap_or_default(),
             origin,
             expires_at: expires_at(&parcel, self.clock.now()).filter(|_| item.name != "stop"),

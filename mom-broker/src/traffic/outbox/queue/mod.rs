@@ -1,6 +1,7 @@
 //! What waits for one peer: the queue of `mom-net`, with senders that wait for capacity and receivers that want fewer
 //! (design §7).
 
+mod shares;
 mod thinner;
 mod thinning;
 mod waiters;
@@ -18,6 +19,7 @@ use mom_system::Clock;
 
 use super::packet::{Dropped, Packet};
 
+use shares::Shares;
 use thinner::Thinner;
 use waiters::Waiters;
 
@@ -27,14 +29,16 @@ pub(crate) struct PeerQueue {
     queue: SendQueue<Packet, Drops>,
     /// What may not be dropped may take so many bytes for a while.
     burst: usize,
-    /// For so long.
-    patience: Micros,
+    /// For so long, ms; a small number, as ten thousand idle peers have one.
+    patience: u32,
     /// Since when more waits than the bound; 0 = it does not.
     behind_since: Micros,
     /// Senders that wait for capacity; most of the time there is none.
     waiters: Option<Box<Waiters>>,
     /// What waits for its time, where the receiver asked for a rate.
     thinner: Option<Box<Thinner>>,
+    /// Who may have how much waiting, where it is a device's.
+    shares: Option<Box<Shares>>,
     /// The connection is lost, and may come back.
     lost: bool,
 }
@@ -82,6 +86,7 @@ impl PeerQueue {
             behind_since: 0,
             waiters: None,
             thinner: None,
+            shares: None,
             lost: false,
         }
     }
@@ -92,11 +97,14 @@ impl PeerQueue {
         if self.lost {
             return self.push_lost(packet);
         }
+        if self.shares.is_some() && self.is_beyond_share(&packet, clock.now()) {
+            return Taken::Overflow;
+        }
         if self.queue.data_bytes() <= self.queue.limit() {
             self.behind_since = 0;
         }
-        let stays_behind =
-            self.behind_since > 0 && clock.now().saturating_sub(self.behind_since) >= self.patience;
+        let stays_behind = self.behind_since > 0
+            && clock.now().saturating_sub(self.behind_since) >= Micros::from(self.patience) * 1000;
         let most = match stays_behind {
             true => self.queue.limit(),
             false => self.burst,
@@ -186,7 +194,7 @@ impl PeerQueue {
     pub(crate) fn set_limits(&mut self, limits: &Limits) {
         self.queue.set_limits(limits.outbox, limits.parcel);
         self.burst = limits.burst.max(limits.outbox);
-        self.patience = limits.stalled.saturating_mul(1000);
+        self.patience = u32::try_from(limits.stalled).unwrap_or(u32::MAX);
     }
 
     /// Takes what the network has room for; says what the rest waits for, if nothing may be written.
