@@ -2,6 +2,7 @@
 
 mod attackers;
 mod rounds;
+mod strangers;
 
 use std::path::PathBuf;
 
@@ -41,11 +42,17 @@ pub enum Attack {
     Sleepers,
     /// Begin parcels in chunks, and end none.
     Chunks,
+    /// Send WebSocket frames of nothing, before login.
+    Nothing,
+    /// Ping, acknowledge and log in with 8 MiB of MessagePack nils.
+    SignsOfLife,
+    /// Send 1 MB of doubles, fleeting, as fast as the hub takes it, where a member speaks XML.
+    LaterXml,
 }
 
 impl Attack {
     /// All of them.
-    pub const ALL: [Attack; 12] = [
+    pub const ALL: [Attack; 15] = [
         Attack::LargeDelete,
         Attack::Nils,
         Attack::Rejoin,
@@ -58,6 +65,9 @@ impl Attack {
         Attack::Lidar,
         Attack::Sleepers,
         Attack::Chunks,
+        Attack::Nothing,
+        Attack::SignsOfLife,
+        Attack::LaterXml,
     ];
 
     /// Its word on a command line.
@@ -75,6 +85,9 @@ impl Attack {
             Attack::Lidar => "lidar",
             Attack::Sleepers => "sleepers",
             Attack::Chunks => "chunks",
+            Attack::Nothing => "nothing",
+            Attack::SignsOfLife => "signs-of-life",
+            Attack::LaterXml => "later-xml",
         }
     }
 
@@ -93,6 +106,9 @@ impl Attack {
             Attack::Lidar => "no malice: 0.9 MB of doubles at 10 Hz with an XML viewer",
             Attack::Sleepers => "messages of 64 KiB to 16 peers that read nothing",
             Attack::Chunks => "parcels of 8 MiB in chunks that never end, on 16 connections",
+            Attack::Nothing => "strangers' pings and empty frames on 4 WebSockets",
+            Attack::SignsOfLife => "`time ping`, `time ack` and `login` with 8 MiB of MessagePack nils",
+            Attack::LaterXml => "1 MB fleeting messages, as many as are taken, with an XML reader",
         }
     }
 
@@ -100,8 +116,9 @@ impl Attack {
     pub fn hears(self) -> &'static [&'static str] {
         match self {
             Attack::Nils => &["dropped: bad-content"],
-            Attack::LargeSlots | Attack::LargeRequest => &["too-long"],
-            Attack::Sleepers => &["dropped: queue-full"],
+            Attack::LargeSlots | Attack::LargeRequest | Attack::SignsOfLife => &["too-long"],
+            Attack::Nothing => &["closed: 1008"],
+            Attack::Sleepers | Attack::LaterXml => &["dropped: queue-full"],
             Attack::LargeDelete
             | Attack::Rejoin
             | Attack::LargeXml

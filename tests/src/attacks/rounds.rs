@@ -5,9 +5,11 @@ use std::time::Duration;
 use bytes::Bytes;
 use mom_proto::codec::Form;
 use mom_proto::{Content, Family, Map, Parcel, Value};
+use tokio::task::JoinSet;
 use tokio::time::sleep;
 
 use super::attackers::{about, make};
+use super::strangers::{NOTHING, flood};
 use super::{Attack, Attackers};
 use crate::raw::{Raw, at, message};
 
@@ -27,7 +29,7 @@ impl Attackers {
         let here = self.channel();
         match self.attack {
             Attack::LargeDelete => self.enter(Form::Binary, &["/free"]).await,
-            Attack::Nils | Attack::Lidar => {
+            Attack::Nils | Attack::Lidar | Attack::LaterXml => {
                 self.listen(Form::Xml, &[&here]).await;
                 self.enter(Form::Binary, &[&here]).await;
             }
@@ -40,7 +42,7 @@ impl Attackers {
                 }
             }
             Attack::LargeSlots => self.enter(Form::Binary, &[&here]).await,
-            Attack::LargeRequest => self.enter(Form::Binary, &[]).await,
+            Attack::LargeRequest | Attack::SignsOfLife => self.enter(Form::Binary, &[]).await,
             Attack::LargeXml => {
                 self.listen(Form::Binary, &[&here]).await;
                 self.enter(Form::Xml, &[&here]).await;
@@ -77,7 +79,7 @@ impl Attackers {
                 self.enter(Form::Binary, &[&here]).await;
                 self.sleep_in(&here).await;
             }
-            Attack::Chunks => {}
+            Attack::Chunks | Attack::Nothing => {}
         }
     }
 
@@ -92,10 +94,7 @@ impl Attackers {
                 let _ = self.ask(0, about("delete", &session)).await;
             }
             Attack::Nils => {
-                let mut nils = vec![0xc0; LARGE];
-                nils[0] = 0xdd;
-                nils[1..5].copy_from_slice(&u32::try_from(LARGE - 5).expect("small").to_be_bytes());
-                self.send_content(&here, nils).await;
+                self.send_content(&here, nils()).await;
                 self.hear_of_drops("dropped: bad-content").await;
             }
             Attack::Rejoin => {
@@ -132,13 +131,7 @@ impl Attackers {
                 self.insist(about("leave", &session)).await;
             }
             Attack::Lidar => {
-                let mut doubles = vec![0xdd];
-                doubles.extend(100_000_u32.to_be_bytes());
-                for number in 0..100_000_u32 {
-                    doubles.push(0xcb);
-                    doubles.extend((f64::from(number) * 0.001_37).to_be_bytes());
-                }
-                self.send_content(&here, doubles).await;
+                self.send_content(&here, doubles()).await;
                 sleep(Duration::from_millis(100)).await; // tidy: a lidar turns ten times a second
             }
             Attack::Sleepers => {
@@ -151,6 +144,33 @@ impl Attackers {
                 }
             }
             Attack::Chunks => self.begin_chunks().await,
+            Attack::Nothing => {
+                let floods = NOTHING.into_iter().chain(NOTHING);
+                let mut floods: JoinSet<u16> = floods.map(|frame| flood(self.address, frame)).collect();
+                while let Some(status) = floods.join_next().await {
+                    self.note(&format!("closed: {}", status.expect("it ends")));
+                }
+            }
+            Attack::SignsOfLife => {
+                for (family, name) in [
+                    (Family::Time, "ping"),
+                    (Family::Time, "ack"),
+                    (Family::Login, "login"),
+                ] {
+                    let mut parcel = Parcel::new(family, name);
+                    parcel.content = Some(Content::Encoded(nils().into()));
+                    let _ = self.ask(0, parcel).await;
+                }
+            }
+            Attack::LaterXml => {
+                let mut parcel = Parcel::new(Family::Message, "scan").context(at(&here));
+                parcel.echo = Some(false);
+                parcel.content = Some(Content::Encoded(doubles().into()));
+                for _ in 0..16 {
+                    self.peers[0].send_parcel(&parcel).await;
+                }
+                self.hear_of_drops("dropped: queue-full").await;
+            }
         }
     }
 
@@ -242,6 +262,25 @@ impl Attackers {
             drop(self.sleepers.remove(0));
         }
     }
+}
+
+/// A list of nils, of almost the size that a parcel may have.
+fn nils() -> Vec<u8> {
+    let mut nils = vec![0xc0; LARGE];
+    nils[0] = 0xdd;
+    nils[1..5].copy_from_slice(&u32::try_from(LARGE - 5).expect("small").to_be_bytes());
+    nils
+}
+
+/// A list of 100 000 doubles.
+fn doubles() -> Vec<u8> {
+    let mut doubles = vec![0xdd];
+    doubles.extend(100_000_u32.to_be_bytes());
+    for number in 0..100_000_u32 {
+        doubles.push(0xcb);
+        doubles.extend((f64::from(number) * 0.001_37).to_be_bytes());
+    }
+    doubles
 }
 
 fn receipted(mut parcel: Parcel) -> Parcel {

@@ -1,13 +1,17 @@
 //! One bound for all that waits: who holds most loses, and nobody else.
 
-use std::time::Duration;
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
 
 use mom_broker::{Broker, Clock, Config};
 use mom_proto::codec::Form;
 use mom_proto::{Code, Family, Map, Parcel, Value};
 use mom_tests::attacks::{Attack, Attackers, configuration};
 use mom_tests::canary::Canary;
-use mom_tests::raw::{Raw, at, message};
+use mom_tests::programs::{Running, project};
+use mom_tests::raw::{PATIENCE, Raw, at, message};
+use tempfile::TempDir;
+use tokio::task::spawn_blocking;
 
 const MIB: usize = 1 << 20;
 
@@ -63,11 +67,12 @@ async fn who_has_most_kept_is_refused_then_put_out() {
     made.expect("anybody may");
     bob.join(&["/free/hoard"]).await;
     let refused = loop {
+        // Without a pause: who is refused for a second is put out.
         if let Err(error) = bob.ask(block("/free/hoard")).await {
             break error;
         }
-        canary.check().await;
     };
+    canary.check().await;
     assert_eq!(refused.code, Code::OVER_MEMORY, "{refused}");
     assert!(refused.retry_in().is_some_and(|wait| wait > Duration::ZERO));
     // Others go on, and control does.
@@ -144,4 +149,73 @@ async fn a_large_stop_goes_without_its_content_and_its_sender_hears_so() {
     operator.check_alive().await;
     canary.stop().await;
     broker.stop().await;
+}
+
+/// A broker of its own with so much memory: its process is looked at.
+async fn program(memory: usize) -> (Running, SocketAddr, TempDir) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let attacked = std::fs::read_to_string(configuration()).expect("it is there");
+    let users = project().join("config/lab-users.toml");
+    let attacked = attacked.replace(
+        "../config/lab-users.toml",
+        users.to_str().expect("a path in text"),
+    );
+    let file = folder.path().join("attacked.toml");
+    std::fs::write(&file, format!("memory = {memory}\n{attacked}")).expect("written");
+    let started = spawn_blocking(move || Running::broker(&file)).await;
+    let (broker, address) = started.expect("it starts");
+    (broker, address.parse().expect("an address"), folder)
+}
+
+/// The memory of a program, in bytes: what it has (`VmRSS`), or the most that it ever had (`VmHWM`).
+fn resident(broker: &Running, key: &str) -> usize {
+    let status = std::fs::read_to_string(format!("/proc/{}/status", broker.id())).expect("it runs");
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix(key)?.strip_prefix(':'));
+    let kib = line.and_then(|line| line.split_whitespace().next()?.parse::<usize>().ok());
+    kib.expect("Linux says so") * 1024
+}
+
+/// What is dropped before its turn is not written, no queue keeps it, and who reads something else in that form does not wait for it.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_waits_to_be_written_in_another_form_is_bounded_and_delays_no_other_reader() {
+    let bound = 64 * MIB;
+    let (broker, address, _folder) = program(bound).await;
+    let mut canary = Canary::start(address).await;
+    let mut reader = Raw::login(address, Form::Xml, "bob").await;
+    reader.join(&["/bulk"]).await;
+    let mut viewer = Raw::login(address, Form::Xml, "carol").await;
+    viewer.join(&["/chat"]).await;
+    let mut sender = Raw::login(address, Form::Binary, "bob").await;
+    sender.join(&["/bulk", "/chat"]).await;
+    let begin = resident(&broker, "VmRSS");
+    let read = tokio::spawn(async move { while reader.next().await.is_some() {} });
+    let doubles = |count: usize| (0..count).map(|number| Value::Double(number as f64 + 0.125));
+    let scan = message("scan", "/bulk", Value::List(doubles(110_000).collect()));
+    let small = message("scan", "/chat", Value::List(doubles(1000).collect()));
+    for round in 0..40 {
+        for _ in 0..16 {
+            sender.send_parcel(&scan).await;
+        }
+        if round % 10 == 0 {
+            sender.send_parcel(&small).await;
+            viewer.next_of(Family::Message, "scan").await;
+        }
+        canary.check().await;
+    }
+    let most = resident(&broker, "VmHWM");
+    let allowed = bound + bound / 4 + 64 * MIB;
+    assert!(most <= allowed, "{} of {} MiB", most / MIB, allowed / MIB);
+    // And it is given back.
+    let allowed = begin + begin / 10 * 3 + 64 * MIB;
+    let until = Instant::now() + PATIENCE;
+    while resident(&broker, "VmRSS") > allowed {
+        let now = resident(&broker, "VmRSS");
+        assert!(Instant::now() < until, "{} of {} MiB", now / MIB, allowed / MIB);
+        canary.check().await;
+    }
+    read.abort();
+    assert!(canary.stop().await > 0);
+    drop(broker);
 }

@@ -70,4 +70,7 @@ attacks! {
     fn lidar: Lidar, 3;
     fn sleepers: Sleepers, 8;
     fn chunks: Chunks, 8;
+    fn nothing: Nothing, 2;
+    fn signs_of_life: SignsOfLife, 3;
+    fn later_xml: LaterXml, 4;
 }

@@ -1,0 +1,32 @@
+//! What strangers send who have not logged in.
+
+use std::net::SocketAddr;
+
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::time::timeout;
+
+use crate::asking::{Asking, upgrade};
+use crate::raw::PATIENCE;
+
+/// WebSocket frames of nothing, with a mask of zeros: a ping, and an empty binary message.
+pub(super) const NOTHING: [[u8; 6]; 2] = [[0x89, 0x80, 0, 0, 0, 0], [0x82, 0x80, 0, 0, 0, 0]];
+
+/// Sends such a frame again and again until the hub closes; gives the status with which it does.
+pub(super) async fn flood(address: SocketAddr, frame: [u8; 6]) -> u16 {
+    let mut asking = Asking::connect(address).await;
+    let lines = upgrade("mom.bin.v1");
+    let lines: Vec<&str> = lines.iter().map(String::as_str).collect();
+    let answer = asking.ask("GET /mom", &lines, b"").await;
+    assert_eq!(answer.status, 101, "{answer:?}");
+    let (stream, said) = asking.into_parts();
+    let (mut reads, mut writes) = stream.into_split();
+    let frames = frame.repeat(10_000);
+    let flooding = tokio::spawn(async move { while writes.write_all(&frames).await.is_ok() {} });
+    let mut heard = said.to_vec();
+    while let Ok(Ok(1..)) = timeout(PATIENCE, reads.read_buf(&mut heard)).await {}
+    flooding.abort();
+    // Behind answers to pings: a close, its length, its status.
+    let close = heard.windows(2).position(|two| two[0] == 0x88 && two[1] >= 2);
+    let at = close.expect("it says why");
+    u16::from_be_bytes([heard[at + 2], heard[at + 3]])
+}

@@ -1,0 +1,174 @@
+//! A device is neither put out nor kept waiting for its owner by those who own nothing.
+
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use mom_broker::{Broker, Clock, Config};
+use mom_proto::codec::Form;
+use mom_proto::{Code, Family, Map, Parcel, Value};
+use mom_tests::attacks::configuration;
+use mom_tests::canary::fence_of;
+use mom_tests::raw::{Raw, at, message};
+
+const ARM: &str = "/robot/arm";
+const NOTE: usize = 60 * 1024;
+
+async fn start(stalled: u64) -> (Broker, SocketAddr) {
+    let mut config = Config::load(&configuration()).expect("a right configuration");
+    config.limits.stalled = stalled;
+    let broker = Broker::start_at(config, Clock::system())
+        .await
+        .expect("it starts");
+    let address = broker.local_addr();
+    (broker, address)
+}
+
+/// A robot that reads nothing until it is told to.
+async fn robot(address: SocketAddr) -> Raw {
+    let mut robot = Raw::connect_small(address, Form::Binary).await;
+    robot.log_in("arm").await;
+    robot.join(&["/robot"]).await;
+    let join = Parcel::new(Family::Context, "join").context(at(ARM));
+    let joined = robot.ask(join.content(Map::new().with("device", true))).await;
+    joined.expect("it may be a device");
+    robot
+}
+
+/// Somebody in its channel.
+async fn member(address: SocketAddr, user: &str) -> Raw {
+    let mut member = Raw::login(address, Form::Binary, user).await;
+    member.join(&["/robot", ARM]).await;
+    member
+}
+
+fn note(priority: i32) -> Parcel {
+    let mut note = message("note", ARM, Value::Binary(vec![7; NOTE].into()));
+    note.priority = Some(priority);
+    note.echo = Some(false);
+    note
+}
+
+async fn own(operator: &mut Raw) -> u64 {
+    let granted = operator.ask_about(Family::Token, "grab", "/robot/token").await;
+    fence_of(&granted.expect("a free token"))
+}
+
+fn command(fence: u64, number: u64) -> Parcel {
+    let mut command = message("command", ARM, format!("move {number}").as_str());
+    command.fence = Some(fence);
+    command.receipt = Some(true);
+    command.echo = Some(false);
+    command
+}
+
+/// What of the owner comes before what others have sent with the highest priority.
+#[tokio::test]
+async fn nobodys_priority_goes_before_the_owners_commands() {
+    let (broker, address) = start(60_000).await;
+    let mut robot = robot(address).await;
+    let mut operator = member(address, "alice").await;
+    let fence = own(&mut operator).await;
+    let mut bob = member(address, "bob").await;
+    for _ in 0..15 {
+        let mut note = note(100);
+        note.receipt = Some(true);
+        bob.ask(note).await.expect("there is room");
+    }
+    operator.ask(command(fence, 1)).await.expect("it is taken");
+    // What the network holds by then cannot be overtaken.
+    let mut before = 0;
+    loop {
+        let parcel = robot.next().await.expect("it is not closed");
+        if parcel.is(Family::Message, "command") {
+            break;
+        }
+        before += usize::from(parcel.is(Family::Message, "note"));
+    }
+    assert!(before <= 8, "{before} of 15 notes came before the command");
+    broker.stop().await;
+}
+
+/// A robot that reads too slowly for what somebody sends stays, and hears its owner; who sends hears that it does not get it, and others do.
+#[tokio::test]
+async fn a_device_is_not_put_out_by_who_owns_nothing() {
+    let (broker, address) = start(1).await;
+    let mut robot = robot(address).await;
+    let mut operator = member(address, "alice").await;
+    let fence = own(&mut operator).await;
+    let [mut bob, mut carol, mut viewer] = [
+        member(address, "bob").await,
+        member(address, "carol").await,
+        member(address, "carol").await,
+    ];
+    let viewers = viewer.name().to_owned();
+    let seen = tokio::spawn(async move {
+        let mut notes = 0;
+        while let Some(Some(parcel)) = viewer.next_within(Duration::from_secs(600)).await {
+            if parcel.is(Family::Message, "last") {
+                break;
+            }
+            notes += usize::from(parcel.is(Family::Message, "note"));
+        }
+        notes
+    });
+    // Not to those who read only what they wait for: they would be too slow.
+    let note = |priority| {
+        let mut note = note(priority);
+        note.address = Some(vec!["arm".into(), viewers.as_str().into()]);
+        note
+    };
+    let mut refused = 0;
+    for sent in 0..200 {
+        // A message that waits for no answer is refused by an error of its own.
+        let id = bob.post(note(100)).await;
+        let pong = bob.post(Parcel::new(Family::Time, "ping")).await;
+        loop {
+            let parcel = bob.next().await.expect("bob stays");
+            if parcel.reference == Some(id) {
+                let error = mom_proto::WireError::from_parcel(&parcel);
+                assert_eq!(error.code, Code::TRY_LATER, "{error}");
+                let slow = error.get("slow").and_then(Value::as_list);
+                assert_eq!(slow, Some(&[Value::from("arm")][..]), "{error}");
+                refused += 1;
+            }
+            if parcel.reference == Some(pong) {
+                break;
+            }
+        }
+        if sent % 50 == 0 {
+            let told = operator.ask(command(fence, sent)).await.expect("it is taken");
+            assert_eq!(
+                told.value().get("dropped"),
+                Some(&Value::List(Vec::new())),
+                "{sent}"
+            );
+        }
+    }
+    assert!(refused > 100, "{refused}");
+    // Bob has his share, and carol has hers.
+    let mut small = note(0);
+    small.receipt = Some(true);
+    let told = carol.ask(small).await.expect("it is taken").value();
+    assert_eq!(told.get("dropped"), Some(&Value::List(Vec::new())), "{told:?}");
+    let mut large = note(0);
+    large.receipt = Some(true);
+    let told = bob.ask(large).await.expect("others get it").value();
+    assert_eq!(
+        told.get("slow"),
+        Some(&vec![Value::from("arm")].into()),
+        "{told:?}"
+    );
+    let mut last = message("last", ARM, 1);
+    last.address = Some(vec!["arm".into(), viewers.as_str().into()]);
+    last.receipt = Some(true);
+    carol.ask(last).await.expect("it is taken");
+    assert_eq!(seen.await.expect("it reads"), 202, "others get all");
+    // It was never closed: the commands come first, and what was taken for it comes.
+    for number in [0, 50, 100, 150] {
+        let command = robot.next_of(Family::Message, "command").await;
+        assert_eq!(command.value(), Value::from(format!("move {number}").as_str()));
+    }
+    robot.next_of(Family::Message, "last").await;
+    broker.check();
+    broker.stop().await;
+}
