@@ -312,7 +312,7 @@ proptest! {
 #[test]
 fn a_flood_of_pings_is_not_kept() {
     let ping = frame(PING, true, &[1; 125], HUB);
-    let (_, out) = arrive(HUB, &[&ping.repeat(10_000)]).expect("well-formed");
+    let (_, out) = arrive(HUB, &[&ping.repeat(1000)]).expect("well-formed");
     assert!(out.len() < 8192, "{}", out.len());
 }
 

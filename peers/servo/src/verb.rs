@@ -245,9 +245,7 @@ impl Loan<'_, '_> {
                     unanswered = Box::pin(std::future::pending());
                     if !self.ends() {
                         stopped = Some(timeout(STOPPED, stop(self.client, &self.args.robot)).await);
-                        let words = format!("the agent does not answer; {}", self.stop_words(&stopped));
-                        let json = json!({"state": "unanswered", "text": words});
-                        (self.tell)(json, format!("{words}; waiting for the token"))?;
+                        self.tell_of(&stopped)?;
                     }
                 }
                 () = silence(interrupted) => {
@@ -258,14 +256,7 @@ impl Loan<'_, '_> {
                 }
             }
         };
-        // Its last word may be on its way still.
-        let until = Instant::now() + LAST;
-        while !self.is_over() {
-            let Ok(Some(event)) = tokio::time::timeout_at(until, self.events.next()).await else {
-                break;
-            };
-            self.note(&event)?;
-        }
+        self.hear_last().await?;
         let verdict = match &stopped {
             None => self.verdict(),
             Some(_) => self.verdict().map_err(|failure| {
@@ -312,6 +303,28 @@ impl Loan<'_, '_> {
             ))),
             _ => Ok(()),
         }
+    }
+
+    /// Its last word may be on its way still.
+    async fn hear_last(&mut self) -> Result<(), VerbFailure> {
+        let until = Instant::now() + LAST;
+        while !self.is_over() {
+            let Ok(Some(event)) = tokio::time::timeout_at(until, self.events.next()).await else {
+                break;
+            };
+            self.note(&event)?;
+        }
+        Ok(())
+    }
+
+    /// Says at once that the agent does not answer, and what became of the stop.
+    fn tell_of(
+        &mut self,
+        stopped: &Option<Result<Result<(), VerbFailure>, Elapsed>>,
+    ) -> Result<(), VerbFailure> {
+        let words = format!("the agent does not answer; {}", self.stop_words(stopped));
+        let json = json!({"state": "unanswered", "text": words});
+        Ok((self.tell)(json, format!("{words}; waiting for the token"))?)
     }
 
     /// What became of the stop.

@@ -130,12 +130,24 @@ impl Attackers {
                 let _ = self.answers(0, first, count).await;
                 self.insist(about("leave", &session)).await;
             }
+            Attack::Lidar
+            | Attack::Sleepers
+            | Attack::Chunks
+            | Attack::Nothing
+            | Attack::SignsOfLife
+            | Attack::LaterXml => self.round_of_bytes(&here).await,
+        }
+    }
+
+    /// A round of what costs by what is sent, not by what is asked for.
+    async fn round_of_bytes(&mut self, here: &str) {
+        match self.attack {
             Attack::Lidar => {
-                self.send_content(&here, doubles()).await;
+                self.send_content(here, doubles()).await;
                 sleep(Duration::from_millis(100)).await; // tidy: a lidar turns ten times a second
             }
             Attack::Sleepers => {
-                let block = || message("block", &here, Value::Binary(vec![7; 64 * 1024].into()));
+                let block = || message("block", here, Value::Binary(vec![7; 64 * 1024].into()));
                 let first = self.post_many(0, (0..16).map(|_| receipted(block()))).await;
                 let _ = self.answers(0, first, 16).await;
                 // By then the outboxes are full.
@@ -163,7 +175,7 @@ impl Attackers {
                 }
             }
             Attack::LaterXml => {
-                let mut parcel = Parcel::new(Family::Message, "scan").context(at(&here));
+                let mut parcel = Parcel::new(Family::Message, "scan").context(at(here));
                 parcel.echo = Some(false);
                 parcel.content = Some(Content::Encoded(doubles().into()));
                 for _ in 0..16 {
@@ -171,6 +183,7 @@ impl Attackers {
                 }
                 self.hear_of_drops("dropped: queue-full").await;
             }
+            _ => {}
         }
     }
 

@@ -265,31 +265,7 @@ impl Places {
                 ..Report::new(&order.peer, state)
             },
         };
-        // Before the token returns, so that its next owner knows.
-        let ending = Report {
-            state: "ending".to_owned(),
-            ..report.clone()
-        };
-        say(channel, "progress", ending.to_map(), None).await;
-        let ended = match drive {
-            Some(drive) => drive.end(holding).await,
-            None => holding.release().await,
-        };
-        let report = match ended {
-            Ok(()) => report,
-            // Whoever is near has to know.
-            Err(failure) => Report {
-                text: Some(format!("{}; {failure}", report.text.clone().unwrap_or_default())),
-                state: if report.state == "aligned" {
-                    "failed".to_owned()
-                } else {
-                    report.state.clone()
-                },
-                ..report
-            },
-        };
-        say(channel, "progress", report.to_map(), None).await;
-        report
+        give_back(channel, drive, holding, report).await
     }
 
     /// The token, once the peer of the task offers it.
@@ -317,6 +293,37 @@ impl Places {
             }
         }
     }
+}
+
+/// Gives the token back, hears how the robot takes that, and says both; gives the last report.
+async fn give_back(channel: &Channel, drive: Option<Drive>, holding: Holding, report: Report) -> Report {
+    // Before the token returns, so that its next owner knows.
+    let ending = Report {
+        state: "ending".to_owned(),
+        ..report.clone()
+    };
+    say(channel, "progress", ending.to_map(), None).await;
+    let ended = match drive {
+        Some(drive) => drive.end(holding).await,
+        None => holding.release().await,
+    };
+    let report = match ended {
+        Ok(()) => report,
+        // Whoever is near has to know.
+        Err(failure) => {
+            let state = match report.state.as_str() {
+                "aligned" => "failed",
+                state => state,
+            };
+            Report {
+                text: Some(format!("{}; {failure}", report.text.clone().unwrap_or_default())),
+                state: state.to_owned(),
+                ..report
+            }
+        }
+    };
+    say(channel, "progress", report.to_map(), None).await;
+    report
 }
 
 /// What of the arm's state no image shows.

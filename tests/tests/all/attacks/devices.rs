@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use mom_broker::{Broker, Clock, Config};
 use mom_proto::codec::Form;
-use mom_proto::{Code, Family, Map, Parcel, Value};
+use mom_proto::{Code, Family, Map, Parcel, Value, WireError};
 use mom_tests::attacks::configuration;
 use mom_tests::canary::fence_of;
 use mom_tests::raw::{Raw, at, message};
@@ -88,6 +88,26 @@ async fn nobodys_priority_goes_before_the_owners_commands() {
     broker.stop().await;
 }
 
+/// Whether a message without a receipt is refused, by an error of its own that names the slow robot.
+async fn is_refused(sender: &mut Raw, note: Parcel) -> bool {
+    let id = sender.post(note).await;
+    let pong = sender.post(Parcel::new(Family::Time, "ping")).await;
+    let mut refused = false;
+    loop {
+        let parcel = sender.next().await.expect("it stays");
+        if parcel.reference == Some(id) {
+            let error = WireError::from_parcel(&parcel);
+            assert_eq!(error.code, Code::TRY_LATER, "{error}");
+            let slow = error.get("slow").and_then(Value::as_list);
+            assert_eq!(slow, Some(&[Value::from("arm")][..]), "{error}");
+            refused = true;
+        }
+        if parcel.reference == Some(pong) {
+            return refused;
+        }
+    }
+}
+
 /// A robot that reads too slowly for what somebody sends stays, and hears its owner; who sends hears that it does not get it, and others do.
 #[tokio::test]
 async fn a_device_is_not_put_out_by_who_owns_nothing() {
@@ -119,22 +139,7 @@ async fn a_device_is_not_put_out_by_who_owns_nothing() {
     };
     let mut refused = 0;
     for sent in 0..200 {
-        // A message that waits for no answer is refused by an error of its own.
-        let id = bob.post(note(100)).await;
-        let pong = bob.post(Parcel::new(Family::Time, "ping")).await;
-        loop {
-            let parcel = bob.next().await.expect("bob stays");
-            if parcel.reference == Some(id) {
-                let error = mom_proto::WireError::from_parcel(&parcel);
-                assert_eq!(error.code, Code::TRY_LATER, "{error}");
-                let slow = error.get("slow").and_then(Value::as_list);
-                assert_eq!(slow, Some(&[Value::from("arm")][..]), "{error}");
-                refused += 1;
-            }
-            if parcel.reference == Some(pong) {
-                break;
-            }
-        }
+        refused += u64::from(is_refused(&mut bob, note(100)).await);
         if sent % 50 == 0 {
             let told = operator.ask(command(fence, sent)).await.expect("it is taken");
             assert_eq!(
