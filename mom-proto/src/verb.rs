@@ -90,7 +90,7 @@ impl Verb {
     /// The most bytes of a message's content that the hub opens, where it has to know what a device says of itself.
     pub const OPENED: usize = 64 * 1024;
 
-    /// The most bytes of a sign of life's content: times and counts.
+    /// The most bytes of a sign of life's content that the hub opens: times and counts.
     pub const SIGN_OF_LIFE: usize = 1024;
 
     /// All verbs.
@@ -242,7 +242,9 @@ impl Verb {
     pub fn opens(self, limits: &Limits) -> usize {
         match self {
             Verb::Login | Verb::Answer | Verb::Resume => limits.before_login.min(limits.control),
-            Verb::Ping | Verb::Pong | Verb::Ack | Verb::Resent => Self::SIGN_OF_LIFE,
+            Verb::Pong | Verb::Ack | Verb::Resent => Self::SIGN_OF_LIFE,
+            // One may be as large as what is measured with it; above the same size it is not looked into.
+            Verb::Ping => limits.control,
             Verb::Logout | Verb::Create | Verb::Lookup | Verb::List | Verb::Info => limits.control,
             Verb::Join | Verb::Device | Verb::Leave | Verb::Delete | Verb::Members => limits.control,
             Verb::Stats | Verb::Audit | Verb::Explain | Verb::WhatIf => limits.control,
