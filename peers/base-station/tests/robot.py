@@ -8,7 +8,7 @@ It listens on a port of its own choice, which it prints, and then prints a line 
     closed
 
 On its standard input it takes: `cut` (close the connection), `mute` and `unmute` (do not reply), `say TEXT` (send it),
-`flood` (send what is no reply, without end).
+`flood` (send what is no reply, without end), `chatter` (send replies to NULLs that nobody sent, without end).
 """
 
 import os
@@ -69,10 +69,10 @@ class Robot:
                 elif command == STATUS:
                     connection.sendall(b"04 %05d" % SWITCHES)
 
-    def flood(self):
+    def flood(self, words):
         try:
             while True:
-                self.connection.sendall(b"there is no such reply; " * 1000)
+                self.connection.sendall(words * 1000)
         except OSError:
             pass
 
@@ -84,8 +84,9 @@ class Robot:
             self.muted = word == "mute"
         elif word == "say":
             self.connection.sendall(rest.encode("ascii"))
-        elif word == "flood":
-            threading.Thread(target=self.flood, daemon=True).start()
+        elif word in ("flood", "chatter"):
+            words = b"there is no such reply; " if word == "flood" else NULL.encode("ascii")
+            threading.Thread(target=self.flood, args=(words,), daemon=True).start()
         tell("did", word)
 
 
