@@ -1,5 +1,5 @@
 //! One order for all receivers (M27, M35): whoever sends by whichever way, everybody in a reliable channel hears the same
-//! sequence, without a gap, and each sender's messages in the order in which it sent them.
+//! sequence, without a gap, and each sender's messages in the order in which it sent them. What a token guards is a sequence of its own.
 
 use std::collections::{HashMap, VecDeque};
 
@@ -429,7 +429,11 @@ impl Outcome {
         for (name, way, heard) in &self.heard {
             let mute = *way == Some(Way::Mute);
             let expected = order.iter().filter(|(sender, _)| !(mute && sender == name));
-            assert_same(name, &expected.collect::<Vec<_>>(), &heard.said);
+            let expected: Vec<&Said> = expected.collect();
+            for guarded in [true, false] {
+                let expected = part(&way_of, guarded, expected.iter().copied());
+                assert_same(name, &expected, &part(&way_of, guarded, &heard.said));
+            }
             let answers = if *way == Some(Way::Receipts) { MESSAGES } else { 0 };
             assert_eq!(heard.answers, answers, "{name}");
         }
@@ -438,23 +442,41 @@ impl Outcome {
             .iter()
             .filter(|(sender, _)| way_of[sender.as_str()] != Way::Listed)
             .collect();
+        for guarded in [true, false] {
+            let public = part(&way_of, guarded, public.iter().copied());
+            self.check_visits(&public, |visit| part(&way_of, guarded, visit));
+        }
+    }
+
+    fn check_visits(&self, public: &[&Said], part: impl Fn(&[Said]) -> Vec<&Said>) {
         let place: HashMap<&Said, usize> = public.iter().enumerate().map(|(at, said)| (*said, at)).collect();
         assert!(
             self.visits.iter().any(|visit| !visit.is_empty()),
             "somebody came in time"
         );
         for visit in &self.visits {
+            let visit = part(visit);
             let Some(first) = visit.first() else { continue };
-            let from = place[first];
+            let from = place[*first];
             let to = (from + visit.len()).min(public.len());
-            assert_same("a visitor", &public[from..to], visit);
+            assert_same("a visitor", &public[from..to], &visit);
         }
     }
 }
 
+/// What needed the token, which each receiver gets before what waits for it, or all else.
+fn part<'a>(
+    way_of: &HashMap<&str, Way>,
+    guarded: bool,
+    said: impl IntoIterator<Item = &'a Said>,
+) -> Vec<&'a Said> {
+    let is_part = |(sender, _): &&Said| (way_of[sender.as_str()] == Way::Guarded) == guarded;
+    said.into_iter().filter(is_part).collect()
+}
+
 /// Says where two sequences part.
-fn assert_same(who: &str, expected: &[&Said], heard: &[Said]) {
-    let differs = expected.iter().zip(heard).position(|(one, other)| *one != other);
+fn assert_same(who: &str, expected: &[&Said], heard: &[&Said]) {
+    let differs = expected.iter().zip(heard).position(|(one, other)| one != other);
     if let Some(at) = differs {
         let around = at.saturating_sub(3)..(at + 4).min(expected.len()).min(heard.len());
         panic!(
