@@ -94,11 +94,14 @@ impl PeerQueue {
     /// Puts a packet in. A receiver is slow if it stays behind, not if it is behind: for a while more may wait than the
     /// bound says.
     pub(crate) fn push(&mut self, packet: Arc<Packet>, clock: &Clock) -> Taken {
-        if self.lost {
-            return self.push_lost(packet);
+        if self.is_too_late(&packet) {
+            return Taken::Dropped;
         }
         if self.shares.is_some() && self.is_beyond_share(&packet, clock.now()) {
             return Taken::Overflow;
+        }
+        if self.lost {
+            return self.queue.push(packet);
         }
         if self.queue.data_bytes() <= self.queue.limit() {
             self.behind_since = 0;
@@ -116,16 +119,7 @@ impl PeerQueue {
         taken
     }
 
-    /// The same for a peer that has lost its connection. What does not outlive that would move a device when it comes back, long
-    /// after it was said.
-    fn push_lost(&mut self, packet: Arc<Packet>) -> Taken {
-        match self.is_too_late(&packet) {
-            true => Taken::Dropped,
-            false => self.queue.push(packet),
-        }
-    }
-
-    /// Drops what must not wait for a peer that has lost its connection.
+    /// Drops what must not wait for a peer that has lost its connection: it would move a device when that comes back, long after it was said.
     fn is_too_late(&mut self, packet: &Arc<Packet>) -> bool {
         let late = self.lost && !packet.outlives_loss;
         if late {

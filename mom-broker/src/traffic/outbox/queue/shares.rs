@@ -47,7 +47,7 @@ impl PeerQueue {
         };
         let (form, limit) = (self.queue.form(), self.queue.limit());
         let size = packet.charge(form);
-        let few = self.queue.data_bytes() == 0 || self.queue.data_bytes() + size <= limit / 4;
+        let few = self.queue.data_bytes() + size <= limit / 4;
         if shares.looked_at.is_none_or(|at| now.saturating_sub(at) >= LOOK) {
             **shares = Shares::default();
             if few {
@@ -57,8 +57,9 @@ impl PeerQueue {
             let waiting = self.queue.data().filter(|waiting| is_shared(waiting));
             waiting.for_each(|waiting| shares.add(waiting.account(), waiting.charge(form)));
         }
-        let beyond = shares.all + size > limit / 4 * 3 || shares.of(packet.account()) + size > limit / 4;
-        if beyond && !few {
+        // One message of any size where none waits: of this user, and of all.
+        let beyond = |held: usize, most: usize| held > 0 && held + size > most;
+        if !few && (beyond(shares.all, limit / 4 * 3) || beyond(shares.of(packet.account()), limit / 4)) {
             return true;
         }
         shares.add(packet.account(), size);
@@ -84,5 +85,65 @@ impl Shares {
             Some((_, held)) => *held += bytes,
             None => self.users.push((Arc::clone(account), bytes)),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use mom_net::Taken;
+    use mom_proto::Time;
+    use mom_system::Clock;
+    use mom_system::sync::atomic::AtomicU64;
+
+    use super::super::tests::{data, pop, queue};
+    use super::*;
+    use crate::traffic::memory::Memory;
+    use crate::traffic::outbox::Charged;
+
+    /// One of 1000 bytes, charged to this account.
+    fn note(account: &Arc<Account>) -> Packet {
+        let packet = Arc::into_inner(data("note", Delivery::Reliable)).expect("nobody else has it");
+        Packet {
+            charged: Charged::to(Some(account), &packet.encodings),
+            ..packet
+        }
+    }
+
+    #[test]
+    fn a_user_has_a_quarter_all_have_three_and_the_owner_the_rest() {
+        let clock = Clock::manual(Time::default());
+        let memory = Memory::default();
+        let users = ["a", "b", "c", "d", "e"].map(|user| memory.account(&user.into()));
+        let mut queue = queue(20_000);
+        queue.note_device();
+        let mut push = |packet: Packet| queue.push(Arc::new(packet), &clock);
+        let mut taken = Vec::new();
+        for user in &users {
+            taken.push((0..20).filter(|_| push(note(user)) == Taken::Yes).count());
+        }
+        assert_eq!(taken, [5, 5, 5, 0, 0]);
+        let gate = Arc::new(AtomicU64::new(7));
+        let command = |account| Packet {
+            gate: Some((Arc::clone(&gate), 7)),
+            ..note(account)
+        };
+        assert!((0..5).all(|_| push(command(&users[0])) == Taken::Yes));
+        // Whatever has left since counts no more.
+        for _ in 0..12 {
+            pop(&mut queue, 0).expect("it waits");
+        }
+        clock.advance(std::time::Duration::from_millis(30));
+        assert_eq!(queue.push(Arc::new(note(&users[3])), &clock), Taken::Yes);
+    }
+
+    #[test]
+    fn one_of_any_size_goes_where_none_waits_and_not_only_what_is_connected_is_held_to_it() {
+        let clock = Clock::manual(Time::default());
+        let account = Memory::default().account(&"a".into());
+        let mut queue = queue(1000);
+        queue.note_device();
+        queue.lost = true;
+        let mut push = || queue.push(Arc::new(note(&account)), &clock);
+        assert_eq!([push(), push()], [Taken::Yes, Taken::Overflow]);
     }
 }
