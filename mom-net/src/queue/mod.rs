@@ -174,12 +174,12 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         self.reliable_bytes
     }
 
-    /// The data that waits and was not begun.
+    /// The data that waits, what was begun among it.
     pub fn data(&self) -> impl Iterator<Item = &I> {
-        self.data
-            .values()
-            .flat_map(DataLane::iter)
-            .map(|entry| &*entry.item)
+        let waiting = self.data.values().flat_map(DataLane::iter);
+        let begun = self.open.iter().chain(self.again.iter());
+        let begun = begun.filter(|entry| matches!(entry.item.lane(), Lane::Data(_)));
+        waiting.chain(begun).map(|entry| &*entry.item)
     }
 
     /// The most bytes of data that may wait.

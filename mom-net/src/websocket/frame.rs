@@ -304,7 +304,9 @@ impl Incoming {
 
     /// Counts a frame that brings nothing.
     fn count_idle(&mut self, frame: &Frame, now: Micros) -> Result<(), Fault> {
-        let idle = frame.size == 0 || matches!(frame.kind, PING | PONG);
+        // An empty frame may end a message that came in fragments.
+        let ends = frame.kind == CONTINUATION && frame.last;
+        let idle = (frame.size == 0 && !ends) || matches!(frame.kind, PING | PONG);
         match idle && self.idle.take(&IDLE, 1, now).is_err() {
             true => Err(Fault {
                 status: 1008,

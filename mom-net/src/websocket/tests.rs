@@ -105,8 +105,7 @@ fn frames_without_payload_have_a_rate() {
     ]
     .concat();
     for idle in [ping, full, pong, empty, parts] {
-        let frames = if idle.len() == 12 { 2 } else { 1 };
-        let most = idle.repeat(1000 / frames);
+        let most = idle.repeat(1000);
         assert_eq!(arrive(HUB, &[&most]).expect("a burst").0, b"");
         assert_eq!(status(HUB, &[most, idle].concat()), 1008);
     }
@@ -121,6 +120,12 @@ fn frames_without_payload_have_a_rate() {
     // Those that bring something are no part of it.
     let payload = frame(BINARY, true, b"?", HUB).repeat(5000);
     assert_eq!(read(HUB, &payload).len(), 5000);
+    let streamed = [
+        frame(BINARY, false, b"?", HUB),
+        frame(CONTINUATION, true, b"", HUB),
+    ]
+    .concat();
+    assert_eq!(read(HUB, &streamed.repeat(5000)).len(), 5000);
 }
 
 /// The sizes at which a head grows.

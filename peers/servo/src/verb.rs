@@ -63,8 +63,9 @@ Examples:
   mom servo blue red --for 1m --commands 40     it loses the token after a minute, or 40 commands
   mom servo red green --json | jq .mm
 
-Ctrl-C takes the token back at once; the hub halts the robot, and the last line says where the block is. An agent that does not answer
-to it within a second is not waited for: the robot is stopped, until somebody lets it go (mom unstop).";
+Ctrl-C takes the token back at once; the hub halts the robot, and the last line says where the block is. Where the agent does not answer
+to it within a second, the robot is stopped, until somebody lets it go (mom unstop), and 5 s after Ctrl-C this ends: the agent has the
+token still, until the hub misses it or its scope is over.";
 
 /// How long the agent may take to give the token back after it was cancelled.
 const CANCELLED: Duration = Duration::from_secs(5);
@@ -251,7 +252,7 @@ impl Loan<'_, '_> {
                 () = silence(interrupted) => {
                     return Err(VerbFailure::new(
                         format!("interrupted; the agent does not answer and has the token still; {}; {}", self.stop_words(&stopped), self.whereabouts()),
-                        format!("it loses the token at the end of its scope ({} s); let the robot go then: mom unstop {}", self.args.time.as_secs(), self.args.robot),
+                        format!("it loses the token when the hub misses it, or at the end of its scope ({} s); let the robot go then: mom unstop {}", self.args.time.as_secs(), self.args.robot),
                     ));
                 }
             }

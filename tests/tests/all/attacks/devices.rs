@@ -177,3 +177,30 @@ async fn a_device_is_not_put_out_by_who_owns_nothing() {
     broker.check();
     broker.stop().await;
 }
+
+/// What somebody else has waiting for it does not count when its owner says something.
+#[tokio::test]
+async fn a_large_message_of_anothers_is_no_reason_to_close_it() {
+    let (broker, address) = start(1).await;
+    let mut robot = robot(address).await;
+    let mut operator = member(address, "alice").await;
+    let fence = own(&mut operator).await;
+    let mut bob = member(address, "bob").await;
+    let mut map = message("map", ARM, Value::Binary(vec![7; 6 << 20].into()));
+    map.address = Some(vec!["arm".into()]);
+    map.receipt = Some(true);
+    bob.ask(map).await.expect("there is room");
+    for number in 0..5 {
+        let told = operator.ask(command(fence, number)).await;
+        let told = told.expect("it is taken").value();
+        assert_eq!(told.get("dropped"), Some(&Value::List(Vec::new())), "{number}");
+        bob.check_alive().await;
+    }
+    for number in 0..5 {
+        let command = robot.next_of(Family::Message, "command").await;
+        assert_eq!(command.value(), Value::from(format!("move {number}").as_str()));
+    }
+    robot.next_of(Family::Message, "map").await;
+    broker.check();
+    broker.stop().await;
+}

@@ -97,23 +97,25 @@ impl PeerQueue {
         if self.is_too_late(&packet) {
             return Taken::Dropped;
         }
-        if self.shares.is_some() && self.is_beyond_share(&packet, clock.now()) {
+        let Some(others) = self.share_out(&packet, clock.now()) else {
             return Taken::Overflow;
-        }
+        };
+        let limit = self.queue.limit();
         if self.lost {
-            return self.queue.push(packet);
+            return self.queue.push_up_to(packet, limit.saturating_add(others));
         }
-        if self.queue.data_bytes() <= self.queue.limit() {
+        let is_behind = |queue: &SendQueue<Packet, Drops>| queue.data_bytes().saturating_sub(others) > limit;
+        if !is_behind(&self.queue) {
             self.behind_since = 0;
         }
         let stays_behind = self.behind_since > 0
             && clock.now().saturating_sub(self.behind_since) >= Micros::from(self.patience) * 1000;
         let most = match stays_behind {
-            true => self.queue.limit(),
+            true => limit,
             false => self.burst,
         };
-        let taken = self.queue.push_up_to(packet, most);
-        if self.behind_since == 0 && self.queue.data_bytes() > self.queue.limit() {
+        let taken = self.queue.push_up_to(packet, most.saturating_add(others));
+        if self.behind_since == 0 && is_behind(&self.queue) {
             self.behind_since = clock.now().max(1);
         }
         taken

@@ -40,10 +40,11 @@ impl PeerQueue {
         self.shares.is_some()
     }
 
-    /// Whether one more is beyond what its sender may have waiting for a device.
-    pub(super) fn is_beyond_share(&mut self, packet: &Packet, now: Micros) -> bool {
-        let Some(shares) = self.shares.as_mut().filter(|_| is_shared(packet)) else {
-            return false;
+    /// The bytes that wait for a device, may not be dropped and are not its owner's: it is not slow for those. None if one more is beyond
+    /// what its sender may have waiting.
+    pub(super) fn share_out(&mut self, packet: &Packet, now: Micros) -> Option<usize> {
+        let Some(shares) = &mut self.shares else {
+            return Some(0);
         };
         let (form, limit) = (self.queue.form(), self.queue.limit());
         let size = packet.charge(form);
@@ -51,19 +52,21 @@ impl PeerQueue {
         if shares.looked_at.is_none_or(|at| now.saturating_sub(at) >= LOOK) {
             **shares = Shares::default();
             if few {
-                return false;
+                return Some(0);
             }
             shares.looked_at = Some(now);
             let waiting = self.queue.data().filter(|waiting| is_shared(waiting));
             waiting.for_each(|waiting| shares.add(waiting.account(), waiting.charge(form)));
         }
-        // One message of any size where none waits: of this user, and of all.
-        let beyond = |held: usize, most: usize| held > 0 && held + size > most;
-        if !few && (beyond(shares.all, limit / 4 * 3) || beyond(shares.of(packet.account()), limit / 4)) {
-            return true;
+        if is_shared(packet) {
+            // One message of any size where none waits: of this user, and of all.
+            let beyond = |held: usize, most: usize| held > 0 && held + size > most;
+            if !few && (beyond(shares.all, limit / 4 * 3) || beyond(shares.of(packet.account()), limit / 4)) {
+                return None;
+            }
+            shares.add(packet.account(), size);
         }
-        shares.add(packet.account(), size);
-        false
+        Some(shares.all)
     }
 }
 
@@ -90,13 +93,18 @@ impl Shares {
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
+    use bytes::Bytes;
     use mom_net::Taken;
-    use mom_proto::Time;
+    use mom_proto::codec::Encoded;
+    use mom_proto::{Limits, Time};
     use mom_system::Clock;
     use mom_system::sync::atomic::AtomicU64;
 
     use super::super::tests::{data, pop, queue};
     use super::*;
+    use crate::traffic::encodings::Encodings;
     use crate::traffic::memory::Memory;
     use crate::traffic::outbox::Charged;
 
@@ -132,8 +140,48 @@ mod tests {
         for _ in 0..12 {
             pop(&mut queue, 0).expect("it waits");
         }
-        clock.advance(std::time::Duration::from_millis(30));
+        clock.advance(Duration::from_millis(30));
         assert_eq!(queue.push(Arc::new(note(&users[3])), &clock), Taken::Yes);
+    }
+
+    /// What somebody else has waiting, begun or not, is no reason to close it when its owner says something.
+    #[test]
+    fn a_device_is_slow_for_what_its_owner_says_only() {
+        let clock = Clock::manual(Time::default());
+        let memory = Memory::default();
+        let [stranger, owner] = ["a", "b"].map(|user| memory.account(&user.into()));
+        let mut queue = queue(1500);
+        queue.set_limits(&Limits {
+            outbox: 1500,
+            burst: 1500,
+            stalled: 5000,
+            ..Limits::default()
+        });
+        queue.note_device();
+        let large = Packet {
+            count: 100,
+            encodings: Encodings::of_run(Encoded {
+                head: vec![7; 100_000].into(),
+                body: Bytes::new(),
+            }),
+            ..note(&stranger)
+        };
+        assert_eq!(queue.push(Arc::new(large), &clock), Taken::Yes);
+        let gate = Arc::new(AtomicU64::new(7));
+        let command = |queue: &mut PeerQueue| {
+            clock.advance(Duration::from_secs(6));
+            let command = Packet {
+                gate: Some((Arc::clone(&gate), 7)),
+                lane: Lane::Data(1000),
+                ..note(&owner)
+            };
+            queue.push(Arc::new(command), &clock)
+        };
+        assert_eq!(command(&mut queue), Taken::Yes);
+        assert!(pop(&mut queue, 0).is_some(), "the command leaves first");
+        assert_eq!(command(&mut queue), Taken::Yes);
+        // It does not read what its owner says.
+        assert_eq!(command(&mut queue), Taken::Overflow);
     }
 
     #[test]
