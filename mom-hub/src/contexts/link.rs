@@ -1,5 +1,7 @@
 //! What the loss of a connection, or its return, means where its peer is: devices are made safe, members are told.
 
+use std::sync::Arc;
+
 use mom_proto::ContextNumber;
 use mom_proto::event;
 
@@ -46,7 +48,7 @@ impl World {
     }
 
     /// Tells the members of a context, or whom a token concerns, unless that has changed since the first step.
-    fn push_news(&self, context: ContextNumber, peer: PeerId, lost: bool, out: &mut Vec<Effect>) {
+    fn push_news(&mut self, context: ContextNumber, peer: PeerId, lost: bool, out: &mut Vec<Effect>) {
         let known = self.peers.get(peer);
         let Some(known) = known.filter(|known| known.lost.is_some() == lost) else {
             return;
@@ -54,13 +56,14 @@ impl World {
         if known.owns.contains(&context) {
             return self.push_link(context, peer, out);
         }
-        let content = peer_map(&known.facts);
+        let facts = Arc::clone(&known.facts);
+        let content = peer_map(&facts);
         match known.lost {
             Some(until) => {
                 let content = content.with("within", self.millis_until(until));
-                self.push_by_name(context, event::LOST, content, out);
+                self.push_by_name(context, event::LOST, (&facts, content), out);
             }
-            None => self.push_by_name(context, event::RESUMED, content, out),
+            None => self.push_by_name(context, event::RESUMED, (&facts, content), out),
         }
     }
 }

@@ -7,7 +7,6 @@ use mom_proto::event;
 use mom_proto::{ContextNumber, Path, Thinning};
 
 use crate::world::World;
-use crate::world::events::peer_map;
 use crate::world::steps::{Job, Leaving, STEP, TOLD, told};
 use crate::{Effect, Member, PeerId};
 
@@ -34,7 +33,7 @@ impl World {
             .members
             .insert(peer, Arc::new(Member::new(peer, Arc::clone(&facts))));
         self.grown.insert(number);
-        self.push_presence(number, event::JOINED, peer_map(&facts), out);
+        self.push_presence(number, event::JOINED, &facts, out);
     }
 
     /// Changes what a member is to be spared, and whether it is a device; its route says so before anything that comes after.
@@ -143,7 +142,7 @@ impl World {
             known.joined.remove(&number);
         }
         self.changed.insert(number);
-        self.push_presence(number, event::LEFT, peer_map(&member.facts), out);
+        self.push_presence(number, event::LEFT, &member.facts, out);
         if dissolves {
             self.delete(number, None, None, out);
         }

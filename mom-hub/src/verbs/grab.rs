@@ -47,6 +47,9 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     };
     let number = world.find_token(request)?;
     world.check_near(request, number)?;
+    if request.waiter.is_none() {
+        world.check_tell_pace(request.peer, number)?;
+    }
     grab(world, request, number, patience, out)
 }
 

@@ -12,6 +12,7 @@ use crate::world::World;
 pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let number = world.find_token(request)?;
     world.check_near(request, number)?;
+    world.check_tell_pace(request.peer, number)?;
     world.allow(request, number)?;
     let owner = world.owner_of(number);
     if owner.is_some_and(|owner| owner != request.peer) {

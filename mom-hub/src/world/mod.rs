@@ -12,6 +12,7 @@ mod routes;
 pub(crate) mod settings;
 pub(crate) mod steps;
 pub(crate) mod stops;
+mod tell_pace;
 
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -25,6 +26,7 @@ use crate::tree::peers::Peers;
 use crate::{Audit, Effect, PeerId, Record, Settings, Ticket};
 use steps::Job;
 use stops::Stops;
+use tell_pace::TellPace;
 
 /// All that the hub knows, but for the questions that it has asked.
 #[derive(Debug)]
@@ -61,6 +63,8 @@ pub(crate) struct World {
     pub(crate) to_ask: Vec<(ContextNumber, u64)>,
     /// Which devices are stopped.
     pub(crate) stops: Stops,
+    /// What users have had others told of lately.
+    pub(crate) tell_pace: TellPace,
     // In a cell, because lookups find faults too.
     faults: RefCell<Vec<&'static str>>,
 }
@@ -120,6 +124,7 @@ impl World {
             stirred: BTreeSet::new(),
             to_ask: Vec::new(),
             stops,
+            tell_pace: TellPace::default(),
             faults: RefCell::default(),
         }
     }

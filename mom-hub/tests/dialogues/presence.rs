@@ -2,9 +2,9 @@
 
 use mom_hub::{Effect, Settings};
 use mom_managers::Registry;
-use mom_proto::{Family, Value};
+use mom_proto::{Family, Map, Value};
 
-use crate::stage::{MS, Stage, context};
+use crate::stage::{MS, Stage, context, lab, of};
 
 fn stage(presence: &str) -> Stage {
     let settings = Settings {
@@ -95,4 +95,84 @@ fn all_and_none_are_what_they_say() {
     }
     let mut none = stage("none");
     assert_eq!(joins(&mut none, "a"), []);
+}
+
+/// As often as it may: whoever comes and goes all the time is counted, and nobody else.
+#[test]
+fn who_comes_and_goes_again_and_again_is_counted_and_nobody_else() {
+    let mut stage = stage("all");
+    joins(&mut stage, "a");
+    let mut named = 0;
+    let mut counted = 0;
+    for round in 0..2000 {
+        stage.at(round);
+        stage.say(
+            "b",
+            if round % 2 == 0 {
+                "context join /lab"
+            } else {
+                "context leave /lab"
+            },
+        );
+        for (_, whom) in told(&stage) {
+            match whom {
+                Value::Int(_) => counted += 1,
+                _ => named += 1,
+            }
+        }
+        if round == 1500 {
+            assert_eq!(joins(&mut stage, "c"), one("joined", "c"));
+            stage.say("c", "context leave /lab");
+            assert_eq!(told(&stage), one("left", "c"));
+        }
+    }
+    assert!(
+        (100..=140).contains(&named),
+        "100 at once and 20 a second: {named}"
+    );
+    assert!((1..=2).contains(&counted), "one a second: {counted}");
+    stage.at(3000);
+    assert_eq!(told(&stage), one("joined", 1), "and what has come of it");
+    stage.at(9000);
+    assert_eq!(
+        joins(&mut stage, "b"),
+        one("joined", "b"),
+        "after a rest by name again"
+    );
+}
+
+/// A device hears of each change of its token before all commands: one user does not have it hear of nothing else.
+#[test]
+fn who_grabs_a_devices_token_all_the_time_is_told_to_try_later() {
+    for is_device in [true, false] {
+        let mut stage = Stage::new(lab(Map::new()));
+        stage.enter("alice", 1);
+        stage.enter("bob", 1);
+        if is_device {
+            stage.arrive("arm", 1);
+            stage.say("arm", "context join /lab");
+            stage.say("arm", "context join /lab/arm device=true");
+        }
+        let grabs = |stage: &mut Stage, name: &str, verb: &str| {
+            let mut refused = 0;
+            for _ in 0..150 {
+                let heard = of(&stage.say(name, &format!("token {verb} /lab/key")), &[name]);
+                refused += usize::from(heard.iter().any(|line| line.contains("try-later")));
+                let back = if verb == "grab" { "release" } else { "uninhibit" };
+                stage.say(name, &format!("token {back} /lab/key"));
+            }
+            refused
+        };
+        assert_eq!(grabs(&mut stage, "alice", "grab"), if is_device { 50 } else { 0 });
+        assert_eq!(
+            grabs(&mut stage, "bob", "inhibit"),
+            if is_device { 50 } else { 0 }
+        );
+        stage.at(5000);
+        assert_eq!(
+            grabs(&mut stage, "alice", "grab"),
+            if is_device { 50 } else { 0 },
+            "and again"
+        );
+    }
 }

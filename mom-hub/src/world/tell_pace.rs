@@ -1,0 +1,101 @@
+//! How often one user may have others told of the same thing, so that they, and the devices among them, hear something else, too.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use mom_proto::{Code, ContextNumber, Gcra, Micros, Pace, WireError};
+
+use super::World;
+use crate::PeerId;
+
+/// Times that one user comes to one context, leaves it, or grabs it: so many at once, and one each so many µs.
+const AT_ONCE: u64 = 100;
+const EACH: Micros = 50_000;
+
+/// Entries from which on it is looked for those that are paid back.
+const MANY: usize = 64;
+
+/// What users have had others told of lately.
+#[derive(Debug, Default)]
+pub(crate) struct TellPace {
+    /// When each is paid back.
+    of: BTreeMap<(ContextNumber, Arc<str>), Micros>,
+    /// Entries that were left when it was last looked through.
+    left: usize,
+}
+
+impl TellPace {
+    /// Counts one.
+    ///
+    /// # Errors
+    /// It was one too many.
+    pub(crate) fn take(
+        &mut self,
+        context: ContextNumber,
+        user: &Arc<str>,
+        now: Micros,
+    ) -> Result<(), TooOften> {
+        if self.of.len() >= MANY.max(2 * self.left) {
+            self.of.retain(|_, paid_at| *paid_at > now);
+            self.left = self.of.len();
+        }
+        let pace = Pace::every(EACH, AT_ONCE);
+        let paid_at = self.of.entry((context, Arc::clone(user))).or_default();
+        let mut used = Gcra::paid_at(*paid_at);
+        used.take(&pace, 1, now).map_err(|_| TooOften)?;
+        *paid_at = used.next(&pace);
+        Ok(())
+    }
+}
+
+/// Somebody has had others told of it too often.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct TooOften;
+
+impl World {
+    /// Checks that a user does not have a device told of its token all the time: each change is told before all commands.
+    pub(crate) fn check_tell_pace(&mut self, peer: PeerId, token: ContextNumber) -> Result<(), WireError> {
+        let Some(user) = self.peers.get(peer).map(|known| Arc::clone(&known.facts.user)) else {
+            return Ok(());
+        };
+        let taken = self.tell_pace.take(token, &user, self.now);
+        if taken.is_ok() || !self.moves_devices(token) {
+            return Ok(());
+        }
+        let text = format!(
+            "{user} grabs this more than {AT_ONCE} times at once and {} times a second, and a device hears of each time",
+            1_000_000 / EACH
+        );
+        Err(WireError::new(Code::TRY_LATER, text).retry_after(std::time::Duration::from_micros(EACH)))
+    }
+
+    /// Whether a device is where a token guards.
+    fn moves_devices(&self, token: ContextNumber) -> bool {
+        let channels = self.token(token).into_iter().flat_map(|token| &token.guarded);
+        let mut channels = channels.filter_map(|channel| self.tree.get(*channel));
+        channels.any(|channel| channel.members.values().any(|member| member.device))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_user_has_his_own_and_nothing_is_kept_of_who_rests() {
+        let mut pace = TellPace::default();
+        let (here, there) = (ContextNumber(1), ContextNumber(2));
+        let [alice, bob]: [Arc<str>; 2] = ["alice".into(), "bob".into()];
+        let mut taken =
+            |context, user, now| (0..200).filter(|_| pace.take(context, user, now).is_ok()).count();
+        assert_eq!(taken(here, &alice, 1), 100);
+        assert_eq!(taken(here, &bob, 1), 100);
+        assert_eq!(taken(there, &alice, 1), 100);
+        assert_eq!(taken(here, &alice, 1_000_001), 20);
+        for user in 0..1000_u32 {
+            let now = 60_000_000 + u64::from(user) * EACH;
+            assert_eq!(pace.take(here, &user.to_string().into(), now), Ok(()));
+        }
+        assert!(pace.of.len() <= MANY, "{}", pace.of.len());
+    }
+}
