@@ -113,6 +113,7 @@ fn also(answer: &Answer, grant: &Grant) -> Answer {
         Answer::Allow(all) => Answer::Allow(Grant {
             displace: all.displace || grant.displace,
             until: [all.until, grant.until].into_iter().flatten().min(),
+            priority: [all.priority, grant.priority].into_iter().flatten().min(),
         }),
         other => other.clone(),
     }

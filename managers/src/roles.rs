@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use mom_proto::{Code, Micros, Pattern, Verb, WireError};
+use mom_proto::{Code, Micros, PRIORITY, Pattern, Verb, WireError};
 use serde::Deserialize;
 
 use crate::params::Verbs;
@@ -37,6 +37,7 @@ struct RuleParams {
     messages: Vec<String>,
     invited: Option<bool>,
     max_age: Option<u64>,
+    priority: Option<i32>,
 }
 
 /// Checks its rules in order: the first that covers the question decides; without one it is denied.
@@ -60,6 +61,8 @@ struct Rule {
     invited: Option<bool>,
     /// The age beyond which messages are refused, µs; none = any.
     max_age: Option<Micros>,
+    /// The highest priority of messages that no token guards.
+    priority: i32,
 }
 
 pub(crate) fn make(setup: &Setup<'_>) -> Result<Box<dyn Manager>, WireError> {
@@ -102,6 +105,18 @@ fn make_rule(setup: &Setup<'_>, index: usize, params: RuleParams) -> Result<Rule
         let text = "max-age needs allow: only allowed messages can have a greatest age";
         return Err(setup.error(&key("max-age"), text));
     }
+    if params.priority.is_some() && !allow {
+        let text = "priority needs allow: only allowed messages can have a highest priority";
+        return Err(setup.error(&key("priority"), text));
+    }
+    if let Some(priority) = params.priority.filter(|priority| !PRIORITY.contains(priority)) {
+        let text = format!(
+            "{priority} is no priority: they go from {} to {}",
+            PRIORITY.start(),
+            PRIORITY.end()
+        );
+        return Err(setup.error(&key("priority"), &text));
+    }
     Ok(Rule {
         name: format!(
             "{}/{}",
@@ -116,6 +131,7 @@ fn make_rule(setup: &Setup<'_>, index: usize, params: RuleParams) -> Result<Rule
         messages: params.messages,
         invited: params.invited,
         max_age: max_age.transpose()?,
+        priority: params.priority.unwrap_or_default(),
     })
 }
 
@@ -136,7 +152,10 @@ impl Manager for Roles {
         let mut verdict = match rule {
             Some(rule) if rule.allow => rule.too_old(question).unwrap_or_else(|| {
                 let allow = Verdict::allow().stands(self.scope).by(&rule.name);
-                allow.up_to_age(rule.max_age.filter(|_| question.verb == Verb::Send))
+                match question.verb {
+                    Verb::Send => allow.up_to_age(rule.max_age).up_to_priority(Some(rule.priority)),
+                    _ => allow,
+                }
             }),
             Some(rule) => deny(question, &rule.name),
             None => deny(question, &self.label),

@@ -98,13 +98,15 @@ pub struct Wait {
     pub expected: Option<Micros>,
 }
 
-/// What an allowed `grab` grants beyond a free token.
+/// What a yes grants: an allowed `grab` beyond a free token, an allowed message beyond its place.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Grant {
     /// The token is taken from its present owner.
     pub displace: bool,
     /// When the ownership ends, whatever its lease; none = as the lease says.
     pub until: Option<Micros>,
+    /// The highest priority that a message may have which no token guards; none = any.
+    pub priority: Option<i32>,
 }
 
 /// Why not.
@@ -247,7 +249,7 @@ impl Verdict {
         Verdict {
             answer: Answer::Allow(Grant {
                 displace: true,
-                until: None,
+                ..Grant::default()
             }),
             ..Verdict::allow()
         }
@@ -350,6 +352,15 @@ impl Verdict {
     pub fn up_to_age(mut self, limit: Option<Micros>) -> Verdict {
         if let Standing::Stands { max_age, .. } = &mut self.standing {
             *max_age = limit;
+        }
+        self
+    }
+
+    /// Brings the priority of messages that no token guards down to this.
+    #[must_use]
+    pub fn up_to_priority(mut self, most: Option<i32>) -> Verdict {
+        if let Answer::Allow(grant) = &mut self.answer {
+            grant.priority = most;
         }
         self
     }

@@ -72,7 +72,7 @@ pub use names::{
     resembles, xml_violation,
 };
 pub use packed::{Packed, ZSTD};
-pub use parcel::{ContextNumber, HISTORY, MAX_ID, Parcel, STOP};
+pub use parcel::{ContextNumber, HISTORY, MAX_ID, PRIORITY, Parcel, STOP};
 pub use path::Path;
 pub use pattern::Pattern;
 pub use serde_value::{from_value, to_value};

@@ -8,6 +8,9 @@ use crate::{Content, Delivery, Family, Map, Path, Time, Value};
 /// Ids, references and fences are below 2⁵³, so that every language holds them.
 pub const MAX_ID: u64 = (1 << 53) - 1;
 
+/// The priorities that peers may use; others are brought into this range (M7).
+pub const PRIORITY: std::ops::RangeInclusive<i32> = -100..=100;
+
 /// The name of messages with pictures.
 const IMAGE: &str = "image";
 

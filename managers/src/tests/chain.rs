@@ -182,7 +182,7 @@ proptest! {
             Answer::Allow(grant) => {
                 prop_assert!(said.iter().all(|(word, _)| ["allow", "displace", "until"].contains(word)));
                 let until = said.iter().filter(|(word, _)| *word == "until").map(|(_, number)| *number).min();
-                prop_assert_eq!(grant, &Grant { displace: first("displace").is_some(), until });
+                prop_assert_eq!(grant, &Grant { displace: first("displace").is_some(), until, priority: None });
                 let stands = said.iter().map(|(_, number)| 1000 + number).min();
                 let rate = None;
                 prop_assert_eq!(verdict.standing, Standing::Stands { scope: Scope::AnyName, until: stands, rate, max_age: None });

@@ -273,6 +273,46 @@ fn an_age_limits_only_what_is_allowed() {
     assert_eq!(error(rule("never", "allow", &["send"]).with("max-age", 0)), place);
 }
 
+#[test]
+fn a_rule_says_how_urgent_messages_may_be_and_0_if_it_does_not() {
+    let urgent = rule("alarms", "allow", &["send", "grab"])
+        .with("messages", words(&["alarm", "GRAB"]))
+        .with("priority", 50);
+    let later = rule("logs", "allow", &["send"])
+        .with("messages", words(&["log"]))
+        .with("priority", -10);
+    let rest = rule("all else", "allow", &["send", "stop", "grab"]);
+    let mut manager = build(roles(vec![urgent, later, rest]));
+    let stop = Ask {
+        verb: Verb::Stop,
+        ..send("stop")
+    };
+    for (question, priority) in [
+        (send("alarm"), Some(50)),
+        (send("log"), Some(-10)),
+        (send("say"), Some(0)),
+        (stop, None),
+        (GRAB, None),
+    ] {
+        let Answer::Allow(grant) = ask(&mut *manager, &question).answer else {
+            panic!("{question:?} is allowed");
+        };
+        assert_eq!(grant.priority, priority, "{question:?}");
+    }
+    let error = |rule: Map| {
+        let error = crate::Registry::builtin()
+            .build(&roles(vec![rule]).into())
+            .unwrap_err();
+        error.get("slot").and_then(Value::as_str).map(str::to_owned)
+    };
+    let place = Some("rules/0/priority".to_owned());
+    assert_eq!(error(rule("no", "deny", &["send"]).with("priority", 5)), place);
+    assert_eq!(
+        error(rule("high", "allow", &["send"]).with("priority", 101)),
+        place
+    );
+}
+
 /// Each question checks them in order, so that a peer's own manager must not have tens of thousands.
 #[test]
 fn rules_are_counted() {

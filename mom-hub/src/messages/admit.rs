@@ -6,14 +6,11 @@ use std::time::Duration;
 
 use mom_managers::{Answer, Denial, PeerFacts, Rate};
 use mom_proto::nearest::nearest;
-use mom_proto::{Code, Family, Fence, HISTORY, Micros, Parcel, Time, WireError, event};
+use mom_proto::{Code, Family, Fence, HISTORY, Micros, PRIORITY, Parcel, Time, WireError, event};
 
 use super::age::{Aged, age_of, aged, check_age, check_life, is_ahead, is_before, is_within};
 use super::route::{Guard, GuardOwner, Route};
 use crate::{Member, PeerClock, PeerId};
-
-/// The priorities that peers may use; others are brought into this range (M7).
-const PRIORITY: std::ops::RangeInclusive<i32> = -100..=100;
 
 /// When a message came, and by which clock its sender stamps.
 #[derive(Clone, Copy, Debug)]
@@ -167,8 +164,8 @@ pub fn admit_with(
 ) -> Result<Receivers, WireError> {
     let &Ingress { now, wall, .. } = ingress;
     let member = sender(route, peer)?;
-    match answer {
-        Answer::Allow(_) => {}
+    let grant = match answer {
+        Answer::Allow(grant) => grant,
         Answer::Deny(denial) => return Err(refusal(denial, &member.facts, now)),
         // A message waits in no queue.
         Answer::Queue(wait) => return Err(refusal(&wait.denial, &member.facts, now)),
@@ -176,7 +173,7 @@ pub fn admit_with(
             let text = "who manages this channel was not asked yet";
             return Err(WireError::new(Code::TRY_LATER, text).rule(&defer.label));
         }
-    }
+    };
     debug_assert_eq!(
         parcel.family,
         Family::Message,
@@ -201,9 +198,14 @@ pub fn admit_with(
     // Without an estimate of the sender's clock the age is counted from ingress; no error bound says so.
     parcel.age = Some(age.map_or(i64::try_from(ingress.waited).unwrap_or(i64::MAX), |(age, _)| age));
     parcel.age_error = age.map(|(_, error)| error);
+    // The owner of a token orders what it guards among its own.
+    let highest = grant
+        .priority
+        .filter(|_| fence.is_none())
+        .unwrap_or(*PRIORITY.end());
     parcel.priority = parcel
         .priority
-        .map(|priority| priority.clamp(*PRIORITY.start(), *PRIORITY.end()));
+        .map(|priority| priority.clamp(*PRIORITY.start(), highest));
     Ok(receivers)
 }
 

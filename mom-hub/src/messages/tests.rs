@@ -393,6 +393,20 @@ fn a_message_is_stamped_by_the_hub() {
         pass(&route(), ALICE, &mut parcel).expect("alice may");
         assert_eq!(parcel.priority, Some(becomes));
     }
+    let answer = Answer::Allow(Grant {
+        priority: Some(0),
+        ..Grant::default()
+    });
+    for (name, priority, becomes) in [
+        ("say", Some(100), Some(0)),
+        ("say", Some(-7), Some(-7)),
+        ("say", None, None),
+        ("command", Some(100), Some(100)),
+    ] {
+        (parcel.name, parcel.priority) = (name.into(), priority);
+        admit_with(&route(), ALICE, &answer, &mut parcel, &arrived).expect("alice may");
+        assert_eq!(parcel.priority, becomes);
+    }
 }
 
 #[test]

@@ -88,7 +88,11 @@ impl Manager for UntilTen {
         let until = (question.verb == Verb::Grab).then_some(10_000_000);
         let displace = false;
         Verdict {
-            answer: Answer::Allow(Grant { displace, until }),
+            answer: Answer::Allow(Grant {
+                displace,
+                until,
+                priority: None,
+            }),
             ..Verdict::allow()
         }
     }

@@ -101,6 +101,7 @@ impl Manager for Chaired {
                 answer: Answer::Allow(Grant {
                     displace: false,
                     until: given.stands.then_some(question.now + 4_000_000),
+                    priority: None,
                 }),
                 ..Verdict::allow()
             },

@@ -115,6 +115,12 @@ fn rule() -> Value {
         "messages": names("Names of messages, for send; absent = all."),
         "invited": flag("Only peers that a member has invited lately, or only the others; absent = both."),
         "max-age": millis("Messages whose age plus error is greater are refused, in ms; with allow only; absent = any age."),
+        "priority": json!({
+            "description": "The highest priority of messages that no token guards: a higher one becomes this; with allow only; absent = 0.",
+            "type": "integer",
+            "minimum": -100,
+            "maximum": 100,
+        }),
     });
     add(&mut properties, peers());
     table("A rule.", &properties, &[])
