@@ -209,6 +209,7 @@ impl World {
         only(spec.guard.is_some(), "guard", ContextKind::Channel)?;
         only(spec.delivery.is_some(), "delivery", ContextKind::Channel)?;
         only(spec.overflow.is_some(), "overflow", ContextKind::Channel)?;
+        only(spec.pace.is_some(), "pace", ContextKind::Channel)?;
         only(spec.keep.is_some(), "keep", ContextKind::Channel)?;
         only(spec.safe.is_some(), "safe", ContextKind::Token)?;
         only(spec.lease.is_some(), "lease", ContextKind::Token)?;
@@ -226,6 +227,7 @@ impl World {
                 guard: self.make_guard(spec)?,
                 delivery: spec.delivery()?,
                 overflow: spec.overflow()?,
+                pace: spec.pace()?,
                 keep: spec.keep.map(KeepArgs::read).transpose()?,
             })),
             ContextKind::Token => make_token(spec, terms).map(|token| Role::Token(Box::new(token))),

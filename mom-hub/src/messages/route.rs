@@ -21,6 +21,8 @@ pub struct Route {
     pub delivery: Delivery,
     /// What happens where a receiver has no room for a `reliable` parcel.
     pub overflow: Overflow,
+    /// Bytes that its devices read in a second, as far as known.
+    pub pace: Option<u32>,
     /// What is kept for late joiners; none = nothing.
     pub keep: Option<Keep>,
     /// Somebody waits for the word of its devices, which comes to the hub then.

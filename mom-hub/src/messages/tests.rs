@@ -77,6 +77,7 @@ fn route() -> Route {
         }),
         delivery: Delivery::Reliable,
         overflow: Overflow::default(),
+        pace: None,
         keep: None,
         awaited: false,
         lifted: None,

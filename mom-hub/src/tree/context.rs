@@ -77,6 +77,8 @@ pub(crate) struct Channel {
     pub(crate) guard: Option<GuardSpec>,
     pub(crate) delivery: Delivery,
     pub(crate) overflow: Overflow,
+    /// Bytes that its devices read in a second, as far as known.
+    pub(crate) pace: Option<u32>,
     pub(crate) keep: Option<Keep>,
 }
 

@@ -8,6 +8,9 @@ use super::context::Presence;
 use super::keep::KeepArgs;
 use crate::content::bad;
 
+/// The least that a device reads, bytes a second: less than signs of life and replies take.
+const LEAST_PACE: u32 = 1000;
+
 /// A context to be made: the content of `context create`, or an entry of the configuration file.
 ///
 /// ```
@@ -42,6 +45,9 @@ pub struct ContextSpec {
     /// Channels: what happens where a receiver has no room for a `reliable` parcel; absent = `close`.
     #[serde(default)]
     pub overflow: Option<String>,
+    /// Channels: bytes that their devices read in a second; absent = not known.
+    #[serde(default)]
+    pub pace: Option<u32>,
     /// Channels: messages kept for late joiners; absent = none.
     #[serde(default)]
     pub keep: Option<KeepArgs>,
@@ -117,6 +123,19 @@ impl ContextSpec {
                 format!("{word:?} is not one of reliable, latest, fleeting"),
             )
         })
+    }
+
+    /// What devices read in a second, checked.
+    pub(crate) fn pace(&self) -> Result<Option<u32>, WireError> {
+        match self.pace {
+            Some(pace) if pace < LEAST_PACE => {
+                let text = format!(
+                    "{pace} bytes a second are fewer than {LEAST_PACE}, the least that a device reads"
+                );
+                Err(bad("pace", text))
+            }
+            pace => Ok(pace),
+        }
     }
 
     /// What happens where a receiver has no room, checked.

@@ -183,7 +183,8 @@ fn a_channel_says_what_it_keeps_and_who_waits() {
         .with("age", 2000);
     let arm = context("/lab/arm", "channel")
         .with("keep", keep.clone())
-        .with("overflow", "wait");
+        .with("overflow", "wait")
+        .with("pace", 60_000);
     let mut stage = Stage::new(vec![
         context("/lab", "session"),
         arm,
@@ -201,6 +202,10 @@ fn a_channel_says_what_it_keeps_and_who_waits() {
             let reply = replies.next_back().expect("an answer");
             let kept = reply.get("keep").and_then(Value::as_map);
             assert_eq!(kept, wanted, "{line} {path}");
+            if line == "context info" {
+                let pace = (path == "/lab/arm").then_some(&Value::Int(60_000));
+                assert_eq!(reply.get("pace"), pace, "{path}");
+            }
             let overflow = reply.get("overflow").and_then(Value::as_str);
             assert_eq!(
                 overflow == Some("wait"),

@@ -39,6 +39,12 @@ pub(super) fn context() -> Value {
             ),
             Overflow::default().word()
         ),
+        "pace": {
+            "description": "Channels: bytes that their devices read in a second; no more waits for one than it reads in a second, beyond what its owner says; absent = not known.",
+            "type": "integer",
+            "minimum": 1000,
+            "maximum": u32::MAX,
+        },
         "keep": table("Channels: what late joiners get; absent = nothing.", &keep, &[]),
         "safe": table("Tokens: the message sent when ownership ends; absent = halt to every guarded channel.", &safe, &["channel", "name"]),
         "lease": millis("Tokens: how long ownership lasts without renewal, in ms; absent = as the manager says."),

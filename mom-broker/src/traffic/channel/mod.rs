@@ -278,7 +278,7 @@ fn thins(route: &Route) -> bool {
 fn note_devices(route: &Route, outboxes: &[Option<Arc<Outbox>>]) {
     for (member, outbox) in route.members.iter().zip(outboxes) {
         if let Some(outbox) = outbox.as_ref().filter(|_| member.device) {
-            outbox.note_device();
+            outbox.note_device(route.pace);
         }
     }
 }
@@ -423,6 +423,7 @@ pub(crate) mod tests {
             guard: None,
             delivery: Delivery::default(),
             overflow: mom_proto::Overflow::default(),
+            pace: None,
             keep: None,
             awaited: false,
             lifted: None,

@@ -221,9 +221,9 @@ impl Outbox {
         self.wake.notify_one();
     }
 
-    /// Its peer is a device from now on, wherever it is one.
-    pub(crate) fn note_device(&self) {
-        self.queue.lock().note_device();
+    /// Its peer is a device from now on, wherever it is one, and reads so many bytes in a second, if that is known.
+    pub(crate) fn note_device(&self, pace: Option<u32>) {
+        self.queue.lock().note_device(pace);
     }
 
     /// Whether its peer is a device somewhere.

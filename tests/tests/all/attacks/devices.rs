@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use mom_broker::{Broker, Clock, Config};
 use mom_proto::codec::Form;
-use mom_proto::{Code, Family, Map, Parcel, Value, WireError};
+use mom_proto::{Code, Family, Limit, Map, Parcel, Value, WireError};
 use mom_tests::attacks::configuration;
 use mom_tests::canary::fence_of;
 use mom_tests::raw::{Raw, at, message};
@@ -202,5 +202,81 @@ async fn a_large_message_of_anothers_is_no_reason_to_close_it() {
     }
     robot.next_of(Family::Message, "map").await;
     broker.check();
+    broker.stop().await;
+}
+
+/// Of who comes and goes, and of who has its token, a device hears before its owner's commands: nobody has it hear of nothing else.
+#[tokio::test]
+async fn nobody_fills_what_the_hub_itself_has_to_say_to_a_device() {
+    let mut config = Config::load(&configuration()).expect("a right configuration");
+    config.limits.outbox = 256 << 10;
+    config.limits.requests = Limit::Unlimited;
+    let broker = Broker::start_at(config, Clock::system())
+        .await
+        .expect("it starts");
+    let address = broker.local_addr();
+    let mut robot = robot(address).await;
+    let mut bob = member(address, "bob").await;
+    let mut ask = async |verbs: [(Family, &str); 2], path: &str, times: usize| {
+        let mut refused = 0;
+        for (family, verb) in verbs.into_iter().cycle().take(times) {
+            refused += usize::from(bob.ask_about(family, verb, path).await.is_err());
+        }
+        refused
+    };
+    let comings = [(Family::Context, "leave"), (Family::Context, "join")];
+    assert_eq!(ask(comings, ARM, 6000).await, 0);
+    let grabs = [(Family::Token, "grab"), (Family::Token, "release")];
+    let refused = ask(grabs, "/robot/token", 3000).await;
+    // A release of what is not held is refused, too.
+    assert!(refused > 2000, "{refused} of 3000");
+    let mut operator = member(address, "alice").await;
+    let fence = own(&mut operator).await;
+    operator.ask(command(fence, 1)).await.expect("it is taken");
+    let mut before = 0;
+    loop {
+        let parcel = robot.next().await.expect("it is not closed");
+        if parcel.is(Family::Message, "command") {
+            break;
+        }
+        before += usize::from(parcel.family == Family::Event);
+    }
+    assert!(before < 1000, "{before} events came before the command");
+    broker.stop().await;
+}
+
+/// Where its channel says how fast it reads, no more waits for a device of what others say than it reads in a second.
+#[tokio::test]
+async fn no_more_waits_for_a_device_than_it_reads_in_a_second() {
+    let (broker, address) = start(60_000).await;
+    let mut bob = Raw::login(address, Form::Binary, "bob").await;
+    bob.join(&["/free"]).await;
+    let radio = Parcel::new(Family::Context, "create").context(at("/free/radio"));
+    let radio = |pace: i64| {
+        radio
+            .clone()
+            .content(Map::new().with("kind", "channel").with("pace", pace))
+    };
+    let error = bob.ask(radio(999)).await.expect_err("nothing reads so slowly");
+    assert_eq!(error.code, Code::BAD_CONTENT);
+    assert_eq!(error.get("slot"), Some(&Value::from("content/pace")));
+    bob.ask(radio(60_000)).await.expect("they may make one");
+    let mut rover = Raw::connect_small(address, Form::Binary).await;
+    rover.log_in("arm").await;
+    rover.join(&["/free"]).await;
+    let join = Parcel::new(Family::Context, "join").context(at("/free/radio"));
+    let joined = rover.ask(join.content(Map::new().with("device", true))).await;
+    joined.expect("it may be a device");
+    bob.join(&["/free/radio"]).await;
+    let mut dropped = 0;
+    for _ in 0..200 {
+        let mut note = message("note", "/free/radio", Value::Binary(vec![7; 5000].into()));
+        (note.echo, note.receipt) = (Some(false), Some(true));
+        let told = bob.ask(note).await.expect("others would get it").value();
+        dropped += usize::from(told.get("slow").is_some());
+    }
+    // The network between them holds some.
+    assert!(dropped > 100, "of 1 MB {dropped} of 200 notes were refused");
+    rover.next_of(Family::Message, "note").await;
     broker.stop().await;
 }

@@ -22,6 +22,8 @@ pub(super) struct Shares {
     users: Vec<(Arc<Account>, usize)>,
     /// Of all, also of who has no account.
     all: usize,
+    /// Bytes that the device reads in a second.
+    pace: Option<u32>,
 }
 
 /// Whether what waits is within the shares: it may not be dropped, and needs no token.
@@ -30,9 +32,10 @@ fn is_shared(packet: &Packet) -> bool {
 }
 
 impl PeerQueue {
-    /// It is a device's from now on.
-    pub(crate) fn note_device(&mut self) {
-        self.shares.get_or_insert_default();
+    /// It is a device's from now on, which reads so many bytes in a second, if that is known.
+    pub(crate) fn note_device(&mut self, pace: Option<u32>) {
+        let shares = self.shares.get_or_insert_default();
+        shares.pace = pace.or(shares.pace);
     }
 
     /// Whether it is a device's.
@@ -46,11 +49,16 @@ impl PeerQueue {
         let Some(shares) = &mut self.shares else {
             return Some(0);
         };
+        let most = shares.pace.and_then(|pace| usize::try_from(pace).ok());
         let (form, limit) = (self.queue.form(), self.queue.limit());
+        let limit = most.map_or(limit, |most| limit.min(most));
         let size = packet.charge(form);
         let few = self.queue.data_bytes() + size <= limit / 4;
         if shares.looked_at.is_none_or(|at| now.saturating_sub(at) >= LOOK) {
-            **shares = Shares::default();
+            **shares = Shares {
+                pace: shares.pace,
+                ..Shares::default()
+            };
             if few {
                 return Some(0);
             }
@@ -119,11 +127,21 @@ mod tests {
 
     #[test]
     fn a_user_has_a_quarter_all_have_three_and_the_owner_the_rest() {
+        share(20_000, None);
+    }
+
+    #[test]
+    fn of_what_it_reads_in_a_second_where_that_is_less() {
+        share(4 << 20, Some(20_000));
+        share(20_000, Some(4 << 20));
+    }
+
+    fn share(limit: usize, pace: Option<u32>) {
         let clock = Clock::manual(Time::default());
         let memory = Memory::default();
         let users = ["a", "b", "c", "d", "e"].map(|user| memory.account(&user.into()));
-        let mut queue = queue(20_000);
-        queue.note_device();
+        let mut queue = queue(limit);
+        queue.note_device(pace);
         let mut push = |packet: Packet| queue.push(Arc::new(packet), &clock);
         let mut taken = Vec::new();
         for user in &users {
@@ -157,7 +175,7 @@ mod tests {
             stalled: 5000,
             ..Limits::default()
         });
-        queue.note_device();
+        queue.note_device(None);
         let large = Packet {
             count: 100,
             encodings: Encodings::of_run(Encoded {
@@ -189,7 +207,7 @@ mod tests {
         let clock = Clock::manual(Time::default());
         let account = Memory::default().account(&"a".into());
         let mut queue = queue(1000);
-        queue.note_device();
+        queue.note_device(None);
         queue.lost = true;
         let mut push = || queue.push(Arc::new(note(&account)), &clock);
         assert_eq!([push(), push()], [Taken::Yes, Taken::Overflow]);
