@@ -165,6 +165,8 @@ pub fn broker_folder() -> Result<TempDir, Error> {
 pub fn start_broker(program: &Path, folder: &TempDir) -> Result<Process, Error> {
     let mut command = Command::new(program);
     command.arg("--config").arg(folder.path().join("mom.toml"));
+    // As those that it is compared with.
+    command.env("MOM_NICENESS", "0");
     Process::start(command)
 }
 

@@ -105,6 +105,8 @@ async fn exchange(operator: &mut Raw, robot: &mut Raw, number: u64, fence: u64) 
         // Who comes and goes is no message; a halt would be one.
         match parcel.family {
             Family::Event | Family::Time => answer(robot, &parcel).await,
+            // What somebody says who owns nothing.
+            Family::Message if parcel.name() == "note" => {}
             _ => break parcel,
         }
     };

@@ -100,7 +100,7 @@ impl Raw {
         self.try_log_in(user).await.expect("a user of the lab");
     }
 
-    /// Tries to log in with the password of a user of the lab.
+    /// Tries to log in with the password of a user of the lab, or as a guest.
     ///
     /// # Errors
     /// What the broker answered.
@@ -108,7 +108,10 @@ impl Raw {
     /// # Panics
     /// If the connection ends before.
     pub async fn try_log_in(&mut self, user: &str) -> Result<(), WireError> {
-        let mut content = Map::new().with("name", user).with("password", user);
+        let mut content = match user {
+            "guest" => Map::new().with("guest", true),
+            user => Map::new().with("name", user).with("password", user),
+        };
         if self.form == Form::Packed {
             content.set("compress", vec![Value::from(ZSTD)]);
         }

@@ -53,7 +53,9 @@ impl FarHub {
         // Its own state, not this machine's.
         command
             .env_remove("STATE_DIRECTORY")
-            .env("XDG_STATE_HOME", folder.path());
+            .env("XDG_STATE_HOME", folder.path())
+            // As the programs that it is compared with.
+            .env("MOM_NICENESS", "0");
         let listen = format!("{}:0", near.host());
         command.arg("--config").arg(&config).args(["--listen", &listen]);
         Ok(FarHub {

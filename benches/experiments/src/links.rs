@@ -90,6 +90,8 @@ impl Far {
         let mut command = link.ends.hub.command(&settings.broker);
         let listen = format!("{}:0", link.ends.hub.host());
         command.arg("--config").arg(&config).args(["--listen", &listen]);
+        // As the programs that it is compared with.
+        command.env("MOM_NICENESS", "0");
         let broker = Process::start(command)?;
         Ok(Far {
             hub: broker.address().to_owned(),

@@ -83,9 +83,9 @@ fn run(cli: &Cli) -> Result<()> {
     let config = folder.path().join("storm.toml");
     fs::write(&config, configured()?)?;
     let start = || {
-        let mut command = Command::new("nice");
-        command.args(["-n", &cli.nice.to_string()]).arg(&broker);
+        let mut command = Command::new(&broker);
         command.arg("--config").arg(&config);
+        command.env("MOM_NICENESS", cli.nice.to_string());
         Process::start(command)
     };
     let mut out = io::stdout();

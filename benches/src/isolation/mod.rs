@@ -32,9 +32,9 @@ pub struct Figures {
 /// Programs that do not start, or a broker that refuses the canary what it may do.
 pub fn measure(program: &Path, niceness: i32, attacks: &[Attack], time: Duration) -> Result<Figures, Error> {
     let start = || {
-        let mut command = Command::new("nice");
-        command.args(["-n", &niceness.to_string()]).arg(program);
+        let mut command = Command::new(program);
         command.arg("--config").arg(configuration());
+        command.env("MOM_NICENESS", niceness.to_string());
         Process::start(command)
     };
     let (attacked, other) = (start()?, start()?);

@@ -3,6 +3,7 @@
 mod check;
 mod descriptors;
 mod explain;
+mod niceness;
 #[cfg(feature = "otlp")]
 mod otlp;
 mod passwd;

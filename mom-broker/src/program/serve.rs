@@ -12,12 +12,12 @@ use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 use tracing_subscriber::{EnvFilter, Layer, Registry};
 
-use super::descriptors;
 #[cfg(feature = "otlp")]
 use super::otlp;
 #[cfg(target_os = "linux")]
 use super::ready;
 use super::watch::FileWatch;
+use super::{descriptors, niceness};
 
 #[derive(clap::Args)]
 pub(super) struct ServeArgs {
@@ -30,6 +30,9 @@ pub(super) struct ServeArgs {
     /// Record the hub's inputs and decisions in this file, for what-if.
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
+    /// Ask the system for this niceness: the lower, the sooner this broker runs where programs wait for a processor; 0 = do not ask.
+    #[arg(long, env = "MOM_NICENESS", default_value_t = -10, value_parser = clap::value_parser!(i32).range(-20..=0), allow_negative_numbers = true, value_name = "N")]
+    niceness: i32,
     /// Log as JSON lines.
     #[arg(long)]
     log_json: bool,
@@ -70,6 +73,7 @@ type OtherLayer = Box<dyn Layer<Registry> + Send + Sync>;
 type LogFilter = Box<dyn Fn(EnvFilter) -> Result<()>>;
 
 pub(super) fn run(args: &ServeArgs) -> Result<()> {
+    let niceness = niceness::ask(args.niceness);
     // Started before the file is first read, so that no change is missed.
     let watch = args.config.clone().map(FileWatch::new);
     let config = args.load()?;
@@ -79,6 +83,7 @@ pub(super) fn run(args: &ServeArgs) -> Result<()> {
     #[cfg(not(feature = "otlp"))]
     let spans = None;
     let log_filter = log(&config.log, args.log_json, &lines, spans)?;
+    niceness.tell();
     if args.config.is_none() {
         tracing::warn!("no configuration: nobody can log in; try --config config/lab.toml");
     } else if config.store.path.is_none() {

@@ -48,11 +48,17 @@ pub enum Attack {
     SignsOfLife,
     /// Send 1 MB of doubles, fleeting, as fast as the hub takes it, where a member speaks XML.
     LaterXml,
+    /// Say 60 KB of the highest priority to a robot, again and again.
+    Urgent,
+    /// Send to a device that reads nothing, and owns nothing of it.
+    SlowDevice,
+    /// Be a thousand guests of one channel, and be cut off in one moment.
+    Reset,
 }
 
 impl Attack {
     /// All of them.
-    pub const ALL: [Attack; 15] = [
+    pub const ALL: [Attack; 18] = [
         Attack::LargeDelete,
         Attack::Nils,
         Attack::Rejoin,
@@ -68,6 +74,9 @@ impl Attack {
         Attack::Nothing,
         Attack::SignsOfLife,
         Attack::LaterXml,
+        Attack::Urgent,
+        Attack::SlowDevice,
+        Attack::Reset,
     ];
 
     /// Its word on a command line.
@@ -88,6 +97,9 @@ impl Attack {
             Attack::Nothing => "nothing",
             Attack::SignsOfLife => "signs-of-life",
             Attack::LaterXml => "later-xml",
+            Attack::Urgent => "urgent",
+            Attack::SlowDevice => "slow-device",
+            Attack::Reset => "reset",
         }
     }
 
@@ -109,6 +121,9 @@ impl Attack {
             Attack::Nothing => "strangers' pings and empty frames on 4 WebSockets",
             Attack::SignsOfLife => "`time ping`, `time ack` and `login` with 8 MiB of MessagePack nils",
             Attack::LaterXml => "1 MB fleeting messages, as many as are taken, with an XML reader",
+            Attack::Urgent => "60 KB of the highest priority to the robot, as many as are taken",
+            Attack::SlowDevice => "messages of 64 KiB to a device that reads nothing",
+            Attack::Reset => "1 000 guests of one channel are reset at once",
         }
     }
 
@@ -126,7 +141,10 @@ impl Attack {
             | Attack::Crowd
             | Attack::Leavers
             | Attack::Lidar
-            | Attack::Chunks => &[],
+            | Attack::Chunks
+            | Attack::Urgent
+            | Attack::SlowDevice
+            | Attack::Reset => &[],
         }
     }
 

@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use mom_proto::codec::Form;
-use mom_proto::{Content, Family, Map, Parcel, Value};
+use mom_proto::{Content, Family, Map, PRIORITY, Parcel, Value};
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use tokio::task::JoinSet;
 use tokio::time::sleep;
 
@@ -23,6 +24,8 @@ const TOGETHER: usize = 250;
 const SLEEPERS: usize = 16;
 const CHANNELS: usize = 200;
 const LISTENERS: usize = 16;
+const CROWD: usize = 1000;
+const ROBOT: &str = "/robot/arm";
 
 impl Attackers {
     pub(super) async fn prepare(&mut self) {
@@ -79,6 +82,16 @@ impl Attackers {
                 self.enter(Form::Binary, &[&here]).await;
                 self.sleep_in(&here).await;
             }
+            Attack::Urgent => self.enter(Form::Binary, &["/robot", ROBOT]).await,
+            Attack::SlowDevice => {
+                self.enter(Form::Binary, &[&here]).await;
+                let mut device = Raw::connect_small(self.address, Form::Binary).await;
+                device.log_in("carol").await;
+                let join = about("join", &here).content(Map::new().with("device", true));
+                device.ask(join).await.expect("it may be one");
+                self.sleepers.push(device);
+            }
+            Attack::Reset => make_room(),
             Attack::Chunks | Attack::Nothing => {}
         }
     }
@@ -135,7 +148,10 @@ impl Attackers {
             | Attack::Chunks
             | Attack::Nothing
             | Attack::SignsOfLife
-            | Attack::LaterXml => self.round_of_bytes(&here).await,
+            | Attack::LaterXml
+            | Attack::Urgent
+            | Attack::SlowDevice => self.round_of_bytes(&here).await,
+            Attack::Reset => self.be_reset(&here).await,
         }
     }
 
@@ -154,6 +170,20 @@ impl Attackers {
                 if self.rounds == 8 {
                     self.hear_of_drops("dropped: queue-full").await;
                 }
+            }
+            Attack::Urgent => {
+                let note = || {
+                    let mut note = message("note", ROBOT, Value::Binary(vec![7; 60_000].into()));
+                    (note.priority, note.echo) = (Some(*PRIORITY.end()), Some(false));
+                    receipted(note)
+                };
+                let first = self.post_many(0, (0..16).map(|_| note())).await;
+                let _ = self.answers(0, first, 16).await;
+            }
+            Attack::SlowDevice => {
+                let block = || message("block", here, Value::Binary(vec![7; 64 * 1024].into()));
+                let first = self.post_many(0, (0..16).map(|_| receipted(block()))).await;
+                let _ = self.answers(0, first, 16).await;
             }
             Attack::Chunks => self.begin_chunks().await,
             Attack::Nothing => {
@@ -265,6 +295,25 @@ impl Attackers {
         }
     }
 
+    /// Many join a channel, and are all gone in one moment.
+    async fn be_reset(&mut self, here: &str) {
+        let mut coming = JoinSet::new();
+        let mut come: Vec<Raw> = Vec::new();
+        for _ in 0..CROWD {
+            let (address, here) = (self.address, here.to_owned());
+            coming.spawn(async move {
+                let mut raw = Raw::login(address, Form::Binary, "guest").await;
+                raw.join(&[&here]).await;
+                raw
+            });
+            if coming.len() >= TOGETHER {
+                come.extend(coming.join_next().await.map(|raw| raw.expect("it comes")));
+            }
+        }
+        come.extend(coming.join_all().await);
+        come.into_iter().for_each(Raw::reset);
+    }
+
     /// A frame of 8 MiB of which all but the end comes, on connections of which the oldest go when there are many.
     async fn begin_chunks(&mut self) {
         let mut raw = Raw::login(self.address, Form::Binary, "bob").await;
@@ -294,6 +343,16 @@ fn doubles() -> Vec<u8> {
         doubles.extend((f64::from(number) * 0.001_37).to_be_bytes());
     }
     doubles
+}
+
+/// Has the system let this process have a connection for each of the crowd, and as many more.
+fn make_room() {
+    let Rlimit { current, maximum } = getrlimit(Resource::Nofile);
+    let wanted = u64::try_from(4 * CROWD).expect("few");
+    if current.is_some_and(|current| current < wanted) {
+        let current = Some(maximum.map_or(wanted, |maximum| maximum.min(wanted)));
+        setrlimit(Resource::Nofile, Rlimit { current, maximum }).expect("up to what the system allows");
+    }
 }
 
 fn receipted(mut parcel: Parcel) -> Parcel {

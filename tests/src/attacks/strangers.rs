@@ -25,8 +25,17 @@ pub(super) async fn flood(address: SocketAddr, frame: [u8; 6]) -> u16 {
     let mut heard = said.to_vec();
     while let Ok(Ok(1..)) = timeout(PATIENCE, reads.read_buf(&mut heard)).await {}
     flooding.abort();
-    // Behind answers to pings: a close, its length, its status.
-    let close = heard.windows(2).position(|two| two[0] == 0x88 && two[1] >= 2);
-    let at = close.expect("it says why");
-    u16::from_be_bytes([heard[at + 2], heard[at + 3]])
+    // Behind answers to pings, and what the hub says itself: a close with its status.
+    let mut frames = &heard[..];
+    loop {
+        let (kind, length) = (frames[0], usize::from(frames[1]));
+        let (head, length) = match length {
+            126 => (4, usize::from(u16::from_be_bytes([frames[2], frames[3]]))),
+            length => (2, length),
+        };
+        if kind == 0x88 {
+            return u16::from_be_bytes([frames[head], frames[head + 1]]);
+        }
+        frames = &frames[head + length..];
+    }
 }

@@ -73,4 +73,7 @@ attacks! {
     fn nothing: Nothing, 2;
     fn signs_of_life: SignsOfLife, 3;
     fn later_xml: LaterXml, 4;
+    fn urgent: Urgent, 4;
+    fn slow_device: SlowDevice, 4;
+    fn reset: Reset, 1;
 }
