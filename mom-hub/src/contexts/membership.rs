@@ -6,8 +6,10 @@ use std::sync::Arc;
 use mom_proto::event;
 use mom_proto::{ContextNumber, Path, Thinning};
 
+use crate::tree::context::Context;
+use crate::tree::peers::Peer;
 use crate::world::World;
-use crate::world::steps::{Job, Leaving, STEP, TOLD, told};
+use crate::world::steps::{Budget, Job, Leaving, PAUSE, STEP, Then};
 use crate::{Effect, Member, PeerId};
 
 /// Contexts that are told to forget their creator in place of one that is left: it is that much cheaper.
@@ -61,8 +63,16 @@ impl World {
     /// everything is safe, and it still hears so itself. Much is left in steps, between which others have their turns;
     /// if that was all, the caller sees to what follows.
     pub(crate) fn leave(&mut self, leaving: Leaving, out: &mut Vec<Effect>) -> Option<Leaving> {
-        if self.leave_step(&leaving, out) {
-            return Some(leaving);
+        if !self.goes_with_others(&leaving) {
+            let mut budget = Budget::new(out);
+            let is_out = self.leave_step(&leaving, &mut budget, out);
+            // Where many are, many may follow: each new route costs as much as there are members.
+            if matches!(leaving.then, Then::Forget) && budget.members > STEP {
+                self.crowd_until = self.after(PAUSE);
+            }
+            if is_out {
+                return Some(leaving);
+            }
         }
         let tops = self.leaving.entry(leaving.peer).or_default();
         tops.push(leaving.top.clone());
@@ -70,33 +80,49 @@ impl World {
         None
     }
 
+    /// Whether a peer that is gone waits for others that go in the same moment from where many are, so that all of them cost one new route. Who has
+    /// a token, or wants one, does not wait.
+    fn goes_with_others(&self, leaving: &Leaving) -> bool {
+        let has_nothing = |peer: &Peer| peer.owns.is_empty() && peer.involved.is_empty();
+        matches!(leaving.then, Then::Forget)
+            && (self.now < self.crowd_until || self.jobs.iter().any(Job::is_departure))
+            && self.peers.get(leaving.peer).is_some_and(has_nothing)
+    }
+
     /// One step; true with the last.
-    pub(super) fn leave_step(&mut self, leaving: &Leaving, out: &mut Vec<Effect>) -> bool {
+    pub(super) fn leave_step(
+        &mut self,
+        leaving: &Leaving,
+        budget: &mut Budget,
+        out: &mut Vec<Effect>,
+    ) -> bool {
         let Leaving {
             peer, top, reason, ..
         } = leaving;
-        let start = out.len();
-        let (mut left, mut members) = (STEP, 0);
         let mut before = None;
         // Others may have offered it something since the last step.
-        while let Some(next) = self.places_to_leave(*peer, top, left) {
+        while let Some(next) = self.places_to_leave(*peer, top, budget.places) {
             if before.as_ref() == Some(&next) {
                 self.fault::<()>("a peer is still where it was taken out of");
                 return true;
             }
             let (places, how) = &next;
             for place in places.iter().copied() {
-                if left == 0 || members + told(&out[start..]) >= TOLD {
+                // Of a channel they have a new route, even where they are not told, and one for all that leave it in this step.
+                let is_channel = |place: &Context| place.channel().is_some();
+                let costs = !self.changed.contains(&place) && self.tree.get(place).is_some_and(is_channel);
+                if budget.is_spent(costs, out) {
                     return false;
                 }
-                left -= 1;
+                budget.places -= 1;
                 match how {
                     // Its waiting ends first, or it would be granted what others lose on its way out.
                     Stake::Involved => self.end_involvement(place, *peer, reason.word(), out),
                     Stake::Owned => self.lose(place, *reason, None, out),
                     Stake::Joined => {
-                        // Of a channel they have a new route, even where they are not told.
-                        members += self.tree.get(place).map_or(0, |place| place.members.len());
+                        if costs {
+                            budget.members += self.tree.get(place).map_or(0, |place| place.members.len());
+                        }
                         self.remove_member(place, *peer, out);
                     }
                 }
@@ -104,7 +130,7 @@ impl World {
             before = Some(next);
         }
         // Who is out of the root is forgotten next.
-        !top.is_root() || self.tree.forget(*peer, left * FORGOTTEN)
+        !top.is_root() || self.tree.forget(*peer, budget.places * FORGOTTEN)
     }
 
     /// What a peer has to leave next, so many places at most.

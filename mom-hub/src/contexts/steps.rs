@@ -2,17 +2,17 @@
 
 use mom_proto::Path;
 
-use crate::world::steps::{Job, Leaving, PAUSE};
+use crate::world::steps::{Budget, Job, Leaving, PAUSE};
 use crate::world::{Timer, World};
 use crate::{Effect, PeerId};
 
 impl World {
-    /// Goes on with what is done in steps, each in its turn; gives a way out that has come to its end.
-    pub(crate) fn go_on(&mut self, out: &mut Vec<Effect>) -> Option<Leaving> {
+    /// Goes on with what is done in steps, each in its turn; gives the ways out that have come to their ends.
+    pub(crate) fn go_on(&mut self, out: &mut Vec<Effect>) -> Vec<Leaving> {
         let Some(job) = self.jobs.pop_front() else {
             return self.fault("nothing is done in steps");
         };
-        let mut left = None;
+        let mut left = Vec::new();
         match job {
             Job::Delete(mut deletion) => match self.delete_step(&mut deletion, out) {
                 true => {
@@ -20,13 +20,7 @@ impl World {
                 }
                 false => self.jobs.push_back(Job::Delete(deletion)),
             },
-            Job::Leave(leaving) => match self.leave_step(&leaving, out) {
-                true => {
-                    self.end_leaving(&leaving);
-                    left = Some(leaving);
-                }
-                false => self.jobs.push_back(Job::Leave(leaving)),
-            },
+            Job::Leave(leaving) => left = self.leave_together(leaving, out),
             Job::Stop(mut sweep) => {
                 if !self.sweep_step(&mut sweep, out) {
                     self.queue_job(Job::Stop(sweep));
@@ -40,6 +34,31 @@ impl World {
         }
         if !self.jobs.is_empty() {
             self.timers.insert((self.after(PAUSE), Timer::Step));
+        }
+        left
+    }
+
+    /// A step of a way out, and what follows it at once if that is the way of others whose connections have ended.
+    fn leave_together(&mut self, first: Leaving, out: &mut Vec<Effect>) -> Vec<Leaving> {
+        let mut budget = Budget::new(out);
+        let mut left = Vec::new();
+        let mut next = Some(first);
+        while let Some(leaving) = next {
+            match self.leave_step(&leaving, &mut budget, out) {
+                true => {
+                    self.end_leaving(&leaving);
+                    left.push(leaving);
+                }
+                false => {
+                    self.jobs.push_back(Job::Leave(leaving));
+                    break;
+                }
+            }
+            let another = self.jobs.front().is_some_and(Job::is_departure) && !budget.is_spent(false, out);
+            next = match another.then(|| self.jobs.pop_front()).flatten() {
+                Some(Job::Leave(leaving)) => Some(leaving),
+                _ => None,
+            };
         }
         left
     }

@@ -155,7 +155,7 @@ impl Hub {
             }
             Timer::Call(call) => end_call(world, call, out),
             Timer::Step => {
-                if let Some(left) = world.go_on(out) {
+                for left in world.go_on(out) {
                     verbs::follow(world, questions, left, out);
                 }
             }

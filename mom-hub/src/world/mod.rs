@@ -47,6 +47,8 @@ pub(crate) struct World {
     pub(crate) grown: BTreeSet<ContextNumber>,
     /// What is done in steps, the next one first.
     pub(crate) jobs: VecDeque<Job>,
+    /// Up to when those wait for each other who go from where many are.
+    pub(crate) crowd_until: Micros,
     /// The paths of what is being deleted.
     pub(crate) doomed: BTreeSet<Path>,
     /// What peers are leaving.
@@ -125,6 +127,7 @@ impl World {
             to_ask: Vec::new(),
             stops,
             tell_pace: TellPace::default(),
+            crowd_until: 0,
             faults: RefCell::default(),
         }
     }

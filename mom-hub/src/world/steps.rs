@@ -32,6 +32,33 @@ impl World {
     }
 }
 
+/// What one step may still do.
+#[derive(Debug)]
+pub(crate) struct Budget {
+    pub(crate) places: usize,
+    /// Whose routes are made anew.
+    pub(crate) members: usize,
+    /// Effects before it.
+    start: usize,
+}
+
+impl Budget {
+    /// That of a step that begins after these effects.
+    pub(crate) fn new(out: &[Effect]) -> Budget {
+        Budget {
+            places: STEP,
+            members: 0,
+            start: out.len(),
+        }
+    }
+
+    /// Whether another step is to leave more; `costs` = that takes a new route.
+    pub(crate) fn is_spent(&self, costs: bool, out: &[Effect]) -> bool {
+        let members = if costs { self.members } else { 0 };
+        self.places == 0 || members + told(&out[self.start..]) >= TOLD
+    }
+}
+
 /// How many are told by effects.
 pub(crate) fn told(effects: &[Effect]) -> usize {
     let one = |effect: &Effect| match effect {
@@ -49,6 +76,13 @@ pub(crate) enum Job {
     Leave(Leaving),
     Link(LinkNews),
     Stop(Box<Sweep>),
+}
+
+impl Job {
+    /// Whether it takes out a peer whose connection has ended.
+    pub(crate) fn is_departure(&self) -> bool {
+        matches!(self, Job::Leave(leaving) if matches!(leaving.then, Then::Forget))
+    }
 }
 
 /// A stop or unstop of all channels below a session.

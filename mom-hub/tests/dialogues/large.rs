@@ -4,7 +4,7 @@ use mom_hub::{Effect, Input, Settings, User};
 use mom_managers::Registry;
 use mom_proto::{Family, Limit, Limits, Map, Parcel, Path, Value};
 
-use crate::stage::{Stage, context, of};
+use crate::stage::{MS, Stage, context, of};
 
 /// What one input may cost, in contexts touched and peers told.
 const MOST: usize = 800;
@@ -359,4 +359,59 @@ fn one_user_writes_so_many_bytes_of_managers() {
     stage.say("alice", "context delete /lab/c0");
     let again = create(&mut stage, "alice", 0);
     assert!(again.contains(&"alice< ok".to_owned()), "{again:?}");
+}
+
+/// Hundreds of one channel are cut off in one moment: all of them cost a few new routes, and who had a token gives it up at once.
+#[test]
+fn many_that_go_at_once_go_together() {
+    let mut stage = lab(Limits::default());
+    let make = "context create /lab/talk kind=channel presence=counts";
+    stage.say("alice", make);
+    stage.say("bob", "context join /lab/talk");
+    stage.say("alice", "context create /lab/key kind=token");
+    stage.say("bob", "context join /lab/key");
+    let guests: Vec<String> = (0..600).map(|number| format!("guest{number}")).collect();
+    for guest in &guests {
+        stage.enter(guest, 1);
+        stage.say(guest, "context join /lab/talk");
+    }
+    stage.say("guest500", "context join /lab/key");
+    stage.say("guest500", "token grab /lab/key");
+    stage.at(60_000);
+    let mut all = 0;
+    for guest in &guests {
+        let heard = of(&stage.gone(guest), &["bob"]);
+        all += cost(&stage);
+        assert!(
+            cost(&stage) <= MOST + guests.len(),
+            "{guest} costs {}",
+            cost(&stage)
+        );
+        let released = heard.iter().any(|line| line.starts_with("bob< released"));
+        assert_eq!(released, guest == "guest500", "{guest}: {heard:?}");
+    }
+    let mut steps = 0;
+    while stage
+        .hub
+        .deadline()
+        .is_some_and(|deadline| deadline < 60_500 * MS)
+    {
+        let deadline = stage.hub.deadline().expect("it goes on");
+        stage.at_micros(deadline);
+        all += cost(&stage);
+        assert!(
+            cost(&stage) <= MOST + guests.len(),
+            "step {steps} costs {}",
+            cost(&stage)
+        );
+        steps += 1;
+    }
+    assert!((10..150).contains(&steps), "{steps} steps");
+    // One new route for each would be 180 000.
+    assert!(all < 50_000, "they cost {all}");
+    let here = ask(
+        &mut stage,
+        Parcel::new(Family::Context, "info").context(Path::parse("/lab/talk").expect("a path")),
+    );
+    assert_eq!(here.get("members"), Some(&Value::Int(1)));
 }
