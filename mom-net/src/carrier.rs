@@ -46,6 +46,13 @@ impl Carrier {
         }
     }
 
+    /// Reads nothing more but the end.
+    pub(crate) fn forget(&self) {
+        if let Carrier::Tls(link) = self {
+            link.forget();
+        }
+    }
+
     /// Waits for something to read.
     pub(crate) async fn read(&self, buffer: &mut BytesMut) -> io::Result<usize> {
         poll_fn(|context| self.poll_read(buffer, context)).await

@@ -225,13 +225,16 @@ impl Reader {
     pub async fn drain(&mut self) {
         match &mut self.source {
             Source::Local { receiver, .. } => while receiver.recv().await.is_some() {},
-            Source::Stream { stream, buffer, .. } => loop {
-                buffer.bytes.clear();
-                match poll_fn(|context| poll_read(stream, buffer, 0, context)).await {
-                    Ok(0) | Err(_) => return,
-                    Ok(_) => {}
+            Source::Stream { stream, buffer, .. } => {
+                stream.forget();
+                loop {
+                    buffer.bytes.clear();
+                    match poll_fn(|context| poll_read(stream, buffer, 0, context)).await {
+                        Ok(0) | Err(_) => return,
+                        Ok(_) => {}
+                    }
                 }
-            },
+            }
         }
     }
 

@@ -79,6 +79,15 @@ impl ReadHalf {
 }
 
 impl ReadHalf {
+    /// What still comes is read for its end only.
+    pub(crate) fn forget(&self) {
+        match self {
+            ReadHalf::Tls(link) => link.forget(),
+            ReadHalf::WebSocket(link) => link.forget(),
+            ReadHalf::Tcp(_) | ReadHalf::Tunnel(_) => {}
+        }
+    }
+
     /// Notes that the peer has logged in.
     pub(crate) fn trust(&self) {
         if let ReadHalf::Tunnel(pipe) = self {
@@ -99,6 +108,10 @@ pub(crate) enum WriteHalf {
 impl WriteHalf {
     /// Writes the front of these pieces; gives how much of it, none if the network takes nothing now.
     pub(crate) fn try_write(&self, pieces: &[IoSlice<'_>]) -> io::Result<Option<usize>> {
+        // Nothing leaves at once, whatever the network takes: to some doors none taken means that it is full.
+        if pieces.iter().all(|piece| piece.is_empty()) {
+            return Ok(Some(0));
+        }
         let written = match (self, pieces) {
             (WriteHalf::Tls(link), pieces) => return link.try_write(pieces),
             (WriteHalf::WebSocket(link), pieces) => return link.try_write(pieces),

@@ -73,6 +73,8 @@ struct State {
     taken: u64,
     /// How many more were given than taken when all was sent the last time: handshake and records.
     overhead: u64,
+    /// What still comes is thrown away.
+    forgets: bool,
 }
 
 impl TlsLink {
@@ -99,6 +101,7 @@ impl TlsLink {
                     sent,
                     taken: 0,
                     overhead: sent,
+                    forgets: false,
                 };
                 let state = Mutex::new(state);
                 return Ok(Arc::new(TlsLink { stream, state }));
@@ -166,6 +169,7 @@ impl TlsLink {
             let mut state = self.state.lock();
             match count {
                 0 => Ok(Some(0)),
+                _ if state.forgets => Ok(None),
                 count => state.decrypt(&arrived[..count], room, &self.stream),
             }
         })
@@ -195,6 +199,11 @@ impl TlsLink {
         let mut link = options::link(&self.stream)?;
         link.acknowledged = link.acknowledged.saturating_sub(self.state.lock().overhead);
         Some(link)
+    }
+
+    /// Decrypts nothing more: what still comes is thrown away, and a broken record is not worth an alert after the end of what this side says.
+    pub(crate) fn forget(&self) {
+        self.state.lock().forgets = true;
     }
 
     /// Says that nothing more comes from this end.

@@ -176,6 +176,11 @@ impl WebSocket {
         }
     }
 
+    /// What still comes is read for its end only.
+    pub(crate) fn forget(&self) {
+        self.carrier.forget();
+    }
+
     pub(crate) async fn writable(&self) -> io::Result<()> {
         self.carrier.writable().await
     }

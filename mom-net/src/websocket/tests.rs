@@ -496,3 +496,13 @@ async fn a_blocked_network_loses_nothing() {
         assert!(blocked > 10, "{rules:?}: {blocked}");
     }
 }
+
+/// What has no bytes in a form leaves at once: to wait for a network that is ready would be to turn for ever.
+#[tokio::test]
+async fn nothing_leaves_at_once() {
+    let (hub, _peer) = ends(HUB).await;
+    let half = crate::socket::WriteHalf::WebSocket(Arc::new(hub));
+    for pieces in [&[][..], &[IoSlice::new(b"")], &[IoSlice::new(b""); 3]] {
+        assert_eq!(half.try_write(pieces).expect("it is open"), Some(0));
+    }
+}

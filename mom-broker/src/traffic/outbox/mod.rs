@@ -363,6 +363,8 @@ impl Outbox {
                 }
                 Flushed::Unready(packet) => self.make_ready(&packet).await,
             }
+            // A link that is ready and takes nothing must not keep others from their turns.
+            tokio::task::consume_budget().await;
             flushed = self.flush_after_others()?;
         }
     }
