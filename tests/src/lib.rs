@@ -17,6 +17,7 @@ pub mod login;
 pub mod machine;
 #[cfg(target_os = "linux")]
 pub mod network;
+pub mod process;
 pub mod programs;
 #[cfg(target_os = "linux")]
 pub mod proxies;

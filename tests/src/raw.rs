@@ -373,7 +373,7 @@ impl Raw {
 }
 
 /// What the hub may send by what it said at login: of its limits only the size of a parcel binds itself, too.
-fn told(welcome: &Value) -> Limits {
+pub(crate) fn told(welcome: &Value) -> Limits {
     let most = welcome.get("limits").and_then(|limits| limits.get("parcel"));
     Limits {
         parcel: most

@@ -1,7 +1,7 @@
 //! Carries the bytes of raw peers through the doors that they cannot open themselves: TLS, a WebSocket, a tunnel. What a peer sends
 //! wrong arrives as wrong as it is.
 
-mod tls;
+pub(crate) mod tls;
 mod tunnel;
 mod websocket;
 

@@ -12,7 +12,8 @@ use rustls_pki_types::{CertificateDer, ServerName};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 
-fn client() -> ClientConnection {
+/// A client that trusts the hub of [`crate::tls::of_hub`].
+pub(crate) fn client() -> ClientConnection {
     let provider = Arc::new(ring::default_provider());
     let file = crate::tls::of_hub().certificate.expect("a file");
     let mut roots = RootCertStore::empty();

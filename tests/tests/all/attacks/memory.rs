@@ -8,6 +8,7 @@ use mom_proto::codec::Form;
 use mom_proto::{Code, Family, Map, Parcel, Value};
 use mom_tests::attacks::{Attack, Attackers, configuration};
 use mom_tests::canary::Canary;
+use mom_tests::process::resident;
 use mom_tests::programs::{Running, project};
 use mom_tests::raw::{PATIENCE, Raw, at, message};
 use tempfile::TempDir;
@@ -165,16 +166,6 @@ async fn program(memory: usize) -> (Running, SocketAddr, TempDir) {
     let started = spawn_blocking(move || Running::broker(&file)).await;
     let (broker, address) = started.expect("it starts");
     (broker, address.parse().expect("an address"), folder)
-}
-
-/// The memory of a program, in bytes: what it has (`VmRSS`), or the most that it ever had (`VmHWM`).
-fn resident(broker: &Running, key: &str) -> usize {
-    let status = std::fs::read_to_string(format!("/proc/{}/status", broker.id())).expect("it runs");
-    let line = status
-        .lines()
-        .find_map(|line| line.strip_prefix(key)?.strip_prefix(':'));
-    let kib = line.and_then(|line| line.split_whitespace().next()?.parse::<usize>().ok());
-    kib.expect("Linux says so") * 1024
 }
 
 /// What is dropped before its turn is not written, no queue keeps it, and who reads something else in that form does not wait for it.
