@@ -1,5 +1,7 @@
 use std::future::poll_fn;
+use std::io::IoSlice;
 use std::net::SocketAddr;
+use std::sync::Arc;
 use std::time::Duration;
 
 use proptest::prelude::*;

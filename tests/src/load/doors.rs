@@ -18,10 +18,6 @@ const BINARY: u8 = 2;
 const CLOSE: u8 = 8;
 const PING: u8 = 9;
 
-/// Whether records that break TLS are sent on connections with TLS. Not yet: where the hub has ended such a connection and reads what is left,
-/// rustls asserts in a debug build that no second alert is sent, and the connection's task panics.
-const BROKEN_RECORDS: bool = false;
-
 /// Brought up by one request of a tunnel: less than a stranger may, and less than a peer may.
 const MOST_BEFORE_LOGIN: usize = 8 * 1024;
 const MOST_UP: usize = 120 * 1024;
@@ -185,9 +181,7 @@ impl Line {
         match &mut self.carrier {
             Carrier::Stream => match self.route.tls {
                 // Records without content, and one that is none.
-                true if BROKEN_RECORDS && rng.u8(..8) == 0 => {
-                    self.pipe.write_below(&[23, 3, 3, 0, 1, 0]).await
-                }
+                true if rng.u8(..8) == 0 => self.pipe.write_below(&[23, 3, 3, 0, 1, 0]).await,
                 true => self.pipe.write(b"").await,
                 false => Ok(()),
             },

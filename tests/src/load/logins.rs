@@ -64,7 +64,7 @@ impl Mind {
 impl Peer {
     /// Becomes one of the hub's peers, or does not.
     pub(super) async fn log_in(&mut self, mind: &mut Mind, back: bool) -> bool {
-        let may = self.may_come_back() && !mind.known.links.is_empty();
+        let may = !mind.known.links.is_empty();
         if may && (back || one_in(&mut mind.rng, 4)) && self.come_back(mind).await {
             return true;
         }

@@ -25,10 +25,6 @@ const LOGIN: Duration = Duration::from_secs(5);
 /// The most that is said in one turn: a generator has a bound, too.
 const MOST: usize = 12 << 20;
 
-/// Whether peers that read text through a WebSocket or a tunnel hear messages. Not yet: a message that cannot be written in their form
-/// is a piece of no bytes, those doors take "nothing" for "not now" and are ready again at once, and a thread of the hub turns in a circle.
-const TEXT_BY_HTTP_HEARS: bool = false;
-
 /// How a peer reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Habit {
@@ -71,8 +67,6 @@ pub(super) struct Peer {
     decoder: Decoder,
     input: BytesMut,
     habit: Habit,
-    /// It is a member of no channel.
-    outside: bool,
     logged_in: bool,
     last_id: u64,
     pub(super) link: Option<Link>,
@@ -98,7 +92,6 @@ impl Peer {
             decoder,
             input: BytesMut::new(),
             habit,
-            outside: !TEXT_BY_HTTP_HEARS && !form.is_binary() && door != Door::Stream,
             logged_in: false,
             last_id: 0,
             link: None,
@@ -116,8 +109,7 @@ impl Peer {
     }
 
     async fn join(&mut self, mind: &mut Mind) -> io::Result<()> {
-        let joins = if self.outside { Vec::new() } else { mind.joins() };
-        for join in joins {
+        for join in mind.joins() {
             self.send_parcel(&join).await?;
         }
         Ok(())
@@ -125,11 +117,6 @@ impl Peer {
 
     pub(super) fn decoder(&mut self) -> &mut Decoder {
         &mut self.decoder
-    }
-
-    /// Whether it may go on with a link of others.
-    pub(super) fn may_come_back(&self) -> bool {
-        !self.outside
     }
 
     pub(super) fn is_packed(&self) -> bool {
@@ -166,9 +153,6 @@ impl Peer {
             mind.steps += 1;
             self.last_id += 1;
             let (parcel, verb) = mind.parcel(self.last_id, self.form);
-            if self.outside && parcel.name() == "join" {
-                continue;
-            }
             // What has no form on the wire is not said.
             let Ok(frame) = self.form.encode(&parcel) else {
                 continue;

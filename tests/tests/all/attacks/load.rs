@@ -57,7 +57,10 @@ impl Run {
         let now = SystemTime::now().duration_since(UNIX_EPOCH);
         Run {
             seconds: number("MOM_LOAD_SECONDS").unwrap_or(15),
-            seed: number("MOM_LOAD_SEED").unwrap_or_else(|| now.map_or(1, |now| now.as_secs())),
+            // A whole test run has a fixed seed for all that is random.
+            seed: number("MOM_LOAD_SEED")
+                .or_else(|| number("PROPTEST_RNG_SEED"))
+                .unwrap_or_else(|| now.map_or(1, |now| now.as_secs())),
         }
     }
 
