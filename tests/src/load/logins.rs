@@ -137,7 +137,7 @@ impl Peer {
         }
 
         self.decoder().set_limits(&told(&reply.value()));
-        self.link = Some(link);
+        (self.link, self.is_back) = (Some(link), true);
         // Some never say that what follows is new.
         if mind.rng.bool() {
             let resent = Parcel::new(Family::Time, "resent");

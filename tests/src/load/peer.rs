@@ -7,7 +7,7 @@ use bytes::BytesMut;
 use mom_net::Door;
 use mom_proto::binary::{BinaryDecoder, PREFACE};
 use mom_proto::codec::{Decoder, Form, Frame};
-use mom_proto::{Family, Limits, Map, Parcel};
+use mom_proto::{Code, Family, Limits, Map, Parcel};
 use tokio::time::timeout;
 
 use super::Mind;
@@ -68,6 +68,8 @@ pub(super) struct Peer {
     input: BytesMut,
     habit: Habit,
     logged_in: bool,
+    /// It goes on with a link.
+    pub(super) is_back: bool,
     last_id: u64,
     pub(super) link: Option<Link>,
 }
@@ -93,6 +95,7 @@ impl Peer {
             input: BytesMut::new(),
             habit,
             logged_in: false,
+            is_back: false,
             last_id: 0,
             link: None,
         })
@@ -248,6 +251,8 @@ impl Peer {
             Ok(Some(Frame::Parcel(parcel))) => *parcel,
             Ok(Some(Frame::Malformed { error, .. })) => panic!("the hub says to {self:?}: {error}"),
             Err(_) if !self.logged_in => return Some(None),
+            // The numbers of contexts hold for all connections of a link, and this generator forgets them.
+            Err(error) if self.is_back && error.code == Code::BAD_FRAME => return Some(None),
             Err(error) => panic!("the hub says to {self:?}: {error}"),
         };
         if let Some(link) = &mut self.link {
