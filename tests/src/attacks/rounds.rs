@@ -306,7 +306,8 @@ impl Attackers {
                 raw.join(&[&here]).await;
                 raw
             });
-            if coming.len() >= TOGETHER {
+            // What a flood of logins costs is another question.
+            if coming.len() >= 8 {
                 come.extend(coming.join_next().await.map(|raw| raw.expect("it comes")));
             }
         }
