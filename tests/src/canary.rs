@@ -3,12 +3,12 @@
 use std::net::SocketAddr;
 
 use mom_proto::codec::Form;
-use mom_proto::{Family, Parcel, Value};
+use mom_proto::{Family, Map, Parcel, Value};
 use tokio::sync::{oneshot, watch};
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
-use crate::raw::{PATIENCE, Raw, message};
+use crate::raw::{PATIENCE, Raw, at, message};
 
 const TOKEN: &str = "/robot/token";
 const ARM: &str = "/robot/arm";
@@ -33,7 +33,10 @@ impl Canary {
     /// If the broker refuses: the canary dies.
     pub async fn start(address: SocketAddr) -> Canary {
         let mut robot = Raw::login(address, Form::Binary, "arm").await;
-        robot.join(&["/robot", ARM]).await;
+        robot.join(&["/robot"]).await;
+        let join = Parcel::new(Family::Context, "join").context(at(ARM));
+        let joined = robot.ask(join.content(Map::new().with("device", true))).await;
+        joined.expect("it may be a device");
         let mut operator = Raw::login(address, Form::Xml, "alice").await;
         operator.join(&["/robot", ARM]).await;
         let granted = operator.ask_about(Family::Token, "grab", TOKEN).await;

@@ -104,7 +104,11 @@ impl Canary {
     /// # Errors
     /// A broker that refuses it.
     pub async fn start(address: &str) -> Result<Canary, Error> {
-        let robot = Peer::enter(address, "arm", &[ROBOT, ARM]).await?;
+        let mut robot = Peer::enter(address, "arm", &[ROBOT]).await?;
+        let device = Map::new().with("device", true);
+        robot
+            .ask(about(Family::Context, "join", ARM)?.content(device))
+            .await?;
         let mut operator = Peer::enter(address, "alice", &[ROBOT, ARM]).await?;
         operator.ask(about(Family::Token, "grab", TOKEN)?).await?;
         Ok(Canary { operator, robot })

@@ -71,7 +71,12 @@ impl Attackers {
     /// One that reads all, and does nothing.
     pub(super) async fn listen(&mut self, form: Form, paths: &[&str]) {
         let mut peer = Raw::login(self.address, form, "carol").await;
-        peer.join(paths).await;
+        for path in paths {
+            while let Err(error) = peer.ask(about("join", path)).await {
+                let wait = error.retry_in().expect("it may join, if later");
+                sleep(wait).await; // tidy: as long as the hub says
+            }
+        }
         self.listeners.spawn(async move {
             // Its pings are not answered: the broker under test waits long enough.
             while peer

@@ -174,7 +174,7 @@ impl Attackers {
             Attack::Urgent => {
                 let note = || {
                     let mut note = message("note", ROBOT, Value::Binary(vec![7; 60_000].into()));
-                    (note.priority, note.echo) = (Some(*PRIORITY.end()), Some(false));
+                    (note.priority, note.address) = (Some(*PRIORITY.end()), Some(vec!["arm".into()]));
                     receipted(note)
                 };
                 let first = self.post_many(0, (0..16).map(|_| note())).await;
