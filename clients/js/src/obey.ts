@@ -84,6 +84,8 @@ export class Device {
     if (turn) this.#take(turn);
     if (event.type === "lagged") this.#tellOwnStop();
     else if (event.type === "joined") this.report([event.member.peer]);
+    // Without names of who joined, all are told.
+    else if (event.type === "count") this.report();
     else if (event.type === "rejoined") {
       this.report();
       this.#tellOwnStop();

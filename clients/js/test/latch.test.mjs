@@ -94,6 +94,17 @@ test("a device obeys stops by their numbers, and says after each how it stands",
   assert.equal(told.filter((word) => word === "halt: safe state").length, 1);
 });
 
+test("a device tells its state to who joins, and to all where those are counted", async (t) => {
+  const { hub, said } = await device(t);
+  await eventually(() => said("state").length === 1);
+  const event = (content) => hub.link.say({ family: "event", name: "joined", context: "/robot/arm", sender: "hub", content });
+  event({ peer: "bob", user: "bob", level: 1 });
+  await eventually(() => said("state").length === 2);
+  event({ count: 300 });
+  await eventually(() => said("state").length === 3);
+  assert.deepEqual(said("state").map(({ address }) => address), [undefined, ["bob"], undefined]);
+});
+
 test("a device halts at a loss, moves when it has heard how it stands, and says what it knew when it joins again", async (t) => {
   const { hub, arm, told, say, said, books } = await device(t);
   say("stop", { extra: { stop: 5 } });

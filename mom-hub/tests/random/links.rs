@@ -364,6 +364,8 @@ impl Observer {
                 until.is_some_and(|until| until <= self.now),
                 "{peer:?} may come back until {until:?}"
             );
+            // It leaves with others that go, in steps; back it comes no more.
+            self.links.lost.remove(peer);
             self.seen.note("not resumed in time");
         } else if until.is_some() {
             self.seen.note("closed while lost");

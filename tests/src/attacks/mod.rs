@@ -52,13 +52,15 @@ pub enum Attack {
     Urgent,
     /// Send to a device that reads nothing, and owns nothing of it.
     SlowDevice,
+    /// Ask for pages that there are not, before login, without waiting for answers.
+    Heads,
     /// Be a thousand guests of one channel, and be cut off in one moment.
     Reset,
 }
 
 impl Attack {
     /// All of them.
-    pub const ALL: [Attack; 18] = [
+    pub const ALL: [Attack; 19] = [
         Attack::LargeDelete,
         Attack::Nils,
         Attack::Rejoin,
@@ -76,6 +78,7 @@ impl Attack {
         Attack::LaterXml,
         Attack::Urgent,
         Attack::SlowDevice,
+        Attack::Heads,
         Attack::Reset,
     ];
 
@@ -99,6 +102,7 @@ impl Attack {
             Attack::LaterXml => "later-xml",
             Attack::Urgent => "urgent",
             Attack::SlowDevice => "slow-device",
+            Attack::Heads => "heads",
             Attack::Reset => "reset",
         }
     }
@@ -123,6 +127,9 @@ impl Attack {
             Attack::LaterXml => "1 MB fleeting messages, as many as are taken, with an XML reader",
             Attack::Urgent => "60 KB of the highest priority to the robot, as many as are taken",
             Attack::SlowDevice => "messages of 64 KiB to a device that reads nothing",
+            Attack::Heads => {
+                "strangers' requests for pages that there are not, 1 000 at once on 4 connections"
+            }
             Attack::Reset => "1 000 guests of one channel are reset at once",
         }
     }
@@ -145,6 +152,7 @@ impl Attack {
             | Attack::Urgent
             | Attack::SlowDevice
             | Attack::Reset => &[],
+            Attack::Heads => &["status: 404"],
         }
     }
 

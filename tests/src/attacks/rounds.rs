@@ -10,7 +10,7 @@ use tokio::task::JoinSet;
 use tokio::time::sleep;
 
 use super::attackers::{about, make};
-use super::strangers::{NOTHING, flood};
+use super::strangers::{NOTHING, ask_much, flood};
 use super::{Attack, Attackers};
 use crate::raw::{Raw, at, message};
 
@@ -92,7 +92,7 @@ impl Attackers {
                 self.sleepers.push(device);
             }
             Attack::Reset => make_room(),
-            Attack::Chunks | Attack::Nothing => {}
+            Attack::Chunks | Attack::Nothing | Attack::Heads => {}
         }
     }
 
@@ -147,6 +147,7 @@ impl Attackers {
             | Attack::Sleepers
             | Attack::Chunks
             | Attack::Nothing
+            | Attack::Heads
             | Attack::SignsOfLife
             | Attack::LaterXml
             | Attack::Urgent
@@ -191,6 +192,15 @@ impl Attackers {
                 let mut floods: JoinSet<u16> = floods.map(|frame| flood(self.address, frame)).collect();
                 while let Some(status) = floods.join_next().await {
                     self.note(&format!("closed: {}", status.expect("it ends")));
+                }
+            }
+            Attack::Heads => {
+                let mut asking: JoinSet<_> = (0..4).map(|_| ask_much(self.address, 1000)).collect();
+                while let Some(statuses) = asking.join_next().await {
+                    let statuses = statuses.expect("it ends");
+                    statuses
+                        .iter()
+                        .for_each(|status| self.note(&format!("status: {status}")));
                 }
             }
             Attack::SignsOfLife => {

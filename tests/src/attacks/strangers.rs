@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::time::timeout;
 
-use crate::asking::{Asking, upgrade};
+use crate::asking::{Asking, request, upgrade};
 use crate::raw::PATIENCE;
 
 /// WebSocket frames of nothing, with a mask of zeros: a ping, and an empty binary message.
@@ -38,4 +38,17 @@ pub(super) async fn flood(address: SocketAddr, frame: [u8; 6]) -> u16 {
         }
         frames = &frames[head + length..];
     }
+}
+
+/// Asks so often on one connection without waiting for answers; gives the status of each that comes.
+pub(super) async fn ask_much(address: SocketAddr, times: usize) -> Vec<u16> {
+    let mut asking = Asking::connect(address).await;
+    asking.send(request("GET /nothing", &[], b"").repeat(times)).await;
+    let mut statuses = Vec::new();
+    while statuses.len() < times
+        && let Some(answer) = asking.answer().await
+    {
+        statuses.push(answer.status);
+    }
+    statuses
 }

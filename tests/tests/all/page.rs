@@ -228,7 +228,7 @@ async fn slots_reach_receivers_as_they_were_sent() {
         said.reference = Some(4);
         said.address = Some(vec!["carol".into(), "bob".into()]);
         said.timestamp = Time::from_micros(1_795_255_200_000_000);
-        said.priority = Some(3);
+        said.priority = Some(-3);
         said.expires = Some(1 << 40);
         said.delivery = Some(Delivery::Latest);
         said.echo = Some(false);

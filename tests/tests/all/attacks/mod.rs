@@ -10,4 +10,5 @@ mod logs;
 mod memory;
 mod opened;
 mod permitted;
+mod resident;
 mod state;

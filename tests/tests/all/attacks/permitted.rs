@@ -75,5 +75,6 @@ attacks! {
     fn later_xml: LaterXml, 4;
     fn urgent: Urgent, 4;
     fn slow_device: SlowDevice, 4;
+    fn heads: Heads, 2;
     fn reset: Reset, 1;
 }

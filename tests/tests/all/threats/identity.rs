@@ -40,7 +40,7 @@ async fn threat_13_forged_slots() {
             "{heard:?}"
         );
         assert_eq!((heard.age, heard.age_error, heard.fence), (Some(0), None, None));
-        assert_eq!(heard.priority, Some(100));
+        assert_eq!(heard.priority, Some(0), "no rule allows more");
         assert_eq!(heard.context, Some(at(CHAT)), "{heard:?}");
         // Other slots are the applications' own and say nothing about rights.
         assert_eq!(heard.extra.get("level"), Some(&Value::Int(99)));
