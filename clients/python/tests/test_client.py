@@ -185,11 +185,11 @@ async def test_messages_have_all_that_was_said(broker: Broker) -> None:
     async with broker.connect("alice") as alice, broker.connect("bob") as bob:
         chat, events = await alice.channel("/chat"), (await bob.channel("/chat")).events()
         number = await chat.send(
-            "say", None, to=[bob.name], priority=3, expires=5, delivery="latest", echo=False, reference=4,
+            "say", None, to=[bob.name], priority=-3, expires=5, delivery="latest", echo=False, reference=4,
             based_on=7, trace="00-" + "1" * 32 + "-" + "2" * 16 + "-01", slots={"colour": b"red"},
         )  # fmt: skip
         parcel = (await heard(events, mom.Message)).parcel
-        assert (parcel.id, parcel.address, parcel.priority, parcel.expires) == (number, [bob.name], 3, 5000)
+        assert (parcel.id, parcel.address, parcel.priority, parcel.expires) == (number, [bob.name], -3, 5000)
         assert (parcel.delivery, parcel.echo, parcel.reference, parcel.content) == ("latest", False, 4, None)
         assert parcel.extra["colour"] == b"red" and parcel.extra["based-on"] == 7 and not parcel.has_content
         assert parcel.timestamp and parcel.received and abs(parcel.received - parcel.timestamp).total_seconds() < 5

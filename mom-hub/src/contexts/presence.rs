@@ -8,6 +8,7 @@ use crate::Effect;
 use crate::tree::context::Presence;
 use crate::values::count;
 use crate::world::events::peer_map;
+use crate::world::tell_pace::Told;
 use crate::world::{Timer, World};
 
 impl World {
@@ -66,7 +67,7 @@ impl World {
             return false;
         };
         let many = context.presence == Presence::Counts && context.members.len() > above;
-        !many && self.tell_pace.take(number, &who.user, self.now).is_ok()
+        !many && self.tell_pace.take(Told::Of(number), &who.user, self.now).is_ok()
     }
 
     /// Has a count follow when it is time for one.

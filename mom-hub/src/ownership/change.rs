@@ -128,6 +128,7 @@ impl World {
             push_released(self, number, &ended, out);
         }
         if let Some(peer) = new {
+            self.count_change(peer, number);
             push_grabbed(self, number, peer, reason, rule, out);
         }
         if reason == Reason::Preempted {

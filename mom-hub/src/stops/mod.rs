@@ -13,6 +13,7 @@ mod stopping;
 pub(crate) use call::{begin, end_call};
 pub(crate) use device::DeviceWord;
 pub(crate) use lift::unstop;
+pub(crate) use stopping::shortened;
 pub(crate) use stopping::{Stopping, reason_of};
 
 use std::collections::BTreeSet;

@@ -12,7 +12,7 @@ use crate::world::World;
 use crate::world::stops::Storing;
 use crate::{Audit, Effect, PeerId};
 
-/// The longest reason that is remembered, in characters.
+/// The longest words for people that are remembered, or that others are told, in characters.
 const REASON: usize = 256;
 
 /// A stop of one channel.

@@ -26,6 +26,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     let args: Args = content::read_or_default(&request.parcel)?;
     let number = world.find_token(request)?;
     let (peer, answers) = (request.peer, vec![(request.peer, request.parcel.id)]);
+    world.check_tell_pace(peer, number)?;
     if let Some(name) = &args.peer {
         let owner = world.check_owner(request, number);
         owner.map_err(|error| world.unless_denied(request, number, error))?;
@@ -36,6 +37,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
             return Err(WireError::new(Code::DENIED, text).into());
         }
         let to = asking(world, request, name)?;
+        world.check_tell_pace(to, number)?;
         // The peer that asked must be allowed to accept, as if it had been offered; the owner's word is not enough.
         let Allowed { rule, grant } = world.ask(to, &Wish::new(Verb::Accept, number), &request.answers)?;
         // The request cannot time out any more while the owner's yes is being stored.

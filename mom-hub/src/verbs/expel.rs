@@ -12,6 +12,7 @@ use super::logout::follow;
 use crate::asking::questions::Questions;
 use crate::asking::refusal::Refusal;
 use crate::content;
+use crate::stops::shortened;
 use crate::world::World;
 use crate::world::events::peer_map;
 use crate::world::steps::{Expulsion, Leaving, Then};
@@ -59,7 +60,8 @@ pub(crate) fn on(
     })?;
     keep_out(world, number, peer, time)?;
     let by = Some((request.peer, request.parcel.id));
-    put_out(world, questions, (number, peer, by), args.text.as_deref(), out);
+    let text = args.text.as_deref().and_then(shortened);
+    put_out(world, questions, (number, peer, by), text.as_deref(), out);
     Ok(())
 }
 

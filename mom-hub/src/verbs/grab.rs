@@ -47,9 +47,6 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     };
     let number = world.find_token(request)?;
     world.check_near(request, number)?;
-    if request.waiter.is_none() {
-        world.check_tell_pace(request.peer, number)?;
-    }
     grab(world, request, number, patience, out)
 }
 
@@ -71,6 +68,9 @@ fn grab(
     out: &mut Vec<Effect>,
 ) -> Result<(), Refusal> {
     let peer = request.peer;
+    if request.waiter.is_none() {
+        world.check_tell_pace(peer, number)?;
+    }
     let wish = Wish::new(Verb::Grab, number);
     let verdict = world.consult(peer, &wish, &request.answers);
     let owner = world.owner_of(number);

@@ -20,6 +20,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     }
     // Or a loan would last as long as the borrower liked.
     world.check_not_lent(number, "inhibited")?;
+    world.count_change(request.peer, number);
     world.inhibit(number, request.peer, out);
     if owner.is_some() {
         world.lose(number, Reason::Released, Some(request.peer), out);

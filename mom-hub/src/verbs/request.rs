@@ -8,9 +8,11 @@ use super::grab;
 use crate::Effect;
 use crate::asking::refusal::Refusal;
 use crate::content;
+use crate::stops::shortened;
 use crate::token::handover::ASKING;
 use crate::token::state::Asking;
 use crate::world::World;
+use crate::world::tell_pace::Told;
 
 #[derive(Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -50,6 +52,8 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         return Err(WireError::new(Code::FULL, text).into());
     }
     world.check_again(number, (Verb::Request, request.peer, owner))?;
+    // The owner hears of each, also of those that have lapsed.
+    world.count_wish(request.peer, Told::Of(number), "asks for this")?;
     world.last_waiter += 1;
     let asking = Asking {
         peer: request.peer,
@@ -58,6 +62,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         id: request.parcel.id,
         until: world.after(within),
     };
-    world.push_requested(number, asking, args.text.as_deref(), out);
+    let text = args.text.as_deref().and_then(shortened);
+    world.push_requested(number, asking, text.as_deref(), out);
     Ok(())
 }

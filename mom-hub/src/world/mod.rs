@@ -12,7 +12,7 @@ mod routes;
 pub(crate) mod settings;
 pub(crate) mod steps;
 pub(crate) mod stops;
-mod tell_pace;
+pub(crate) mod tell_pace;
 
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};

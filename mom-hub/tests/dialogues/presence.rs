@@ -176,3 +176,28 @@ fn who_grabs_a_devices_token_all_the_time_is_told_to_try_later() {
         );
     }
 }
+
+/// What counts is that it changes hands, by whatever verb; what changes nothing does not count.
+#[test]
+fn a_devices_token_that_goes_to_and_fro_is_counted_and_a_refusal_is_not() {
+    let mut stage = Stage::new(lab(Map::new()));
+    for name in ["alice", "bob", "carol", "arm"] {
+        stage.enter(name, 1);
+    }
+    stage.say("arm", "context join /lab/arm device=true");
+    stage.say("alice", "token grab /lab/key");
+    let put_off = |heard: &[String]| usize::from(heard.iter().any(|line| line.contains("try-later")));
+    let mut refused = 0;
+    for _ in 0..200 {
+        refused += put_off(&of(&stage.say("carol", "token grab /lab/key"), &["carol"]));
+        refused += put_off(&of(&stage.say("alice", "token grab /lab/key"), &["alice"]));
+    }
+    assert_eq!(refused, 0, "held, and renewed");
+    let mut given = 0;
+    for (from, to) in [("alice", "bob"), ("bob", "alice")].into_iter().cycle().take(400) {
+        stage.say(from, &format!("token give /lab/key to={to}"));
+        let heard = of(&stage.say(to, "token accept /lab/key"), &[to]);
+        given += usize::from(heard.iter().any(|line| line.starts_with(&format!("{to}< ok"))));
+    }
+    assert!((150..=200).contains(&given), "{given} of 400");
+}

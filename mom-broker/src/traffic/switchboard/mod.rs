@@ -1,5 +1,6 @@
 //! All that connections share: the hub, the channels, the outboxes, and how effects are carried out.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use dashmap::DashMap;
@@ -209,35 +210,54 @@ impl Switchboard {
 
     fn report_drops_of(&self, outbox: &Outbox, touched: &mut Touched) {
         let drops = outbox.take_drops();
+        if drops.is_empty() {
+            return;
+        }
+        // A device hears of all senders together: what is said of each goes before its owner's commands.
+        let together = outbox.is_device();
+        let mut of_all: BTreeMap<Dropped, (Path, u64)> = BTreeMap::new();
         for (dropped, count) in drops {
-            let Dropped { context, sender, .. } = dropped;
-            let Some(channel) = self.channel(context) else {
+            let Some(channel) = self.channel(dropped.context) else {
                 continue;
             };
             let path = channel.note_dropped(outbox.peer, dropped, count);
-            let content = Map::new()
-                .with("reason", dropped.reason.word())
-                .with("delivery", dropped.class.word())
-                .with("count", i64::try_from(count).unwrap_or(i64::MAX))
-                .with("receiver", &*outbox.name())
-                .with(
-                    "sender",
-                    &*self
-                        .outbox(sender)
-                        .map(|sender| sender.name())
-                        .unwrap_or_default(),
-                );
-            let mut parcel = Parcel::new(Family::Event, event::DROPPED)
-                .context(path)
-                .content(content);
-            parcel.number = Some(context);
-            let told = if sender == outbox.peer {
-                vec![sender]
-            } else {
-                vec![sender, outbox.peer]
-            };
-            told.into_iter()
-                .for_each(|peer| self.tell(peer, parcel.clone(), touched));
+            let sender = dropped.sender;
+            let mut told = vec![sender];
+            match together && sender != outbox.peer {
+                true => {
+                    let all = Dropped {
+                        sender: outbox.peer,
+                        ..dropped
+                    };
+                    of_all.entry(all).or_insert((path.clone(), 0)).1 += count;
+                }
+                false if sender != outbox.peer => told.push(outbox.peer),
+                false => {}
+            }
+            let name = self.outbox(sender).map(|sender| sender.name());
+            let content = drop_map(dropped, count, outbox).with("sender", &*name.unwrap_or_default());
+            self.tell_of_drops(&told, dropped.context, path, content, touched);
+        }
+        for (dropped, (path, count)) in of_all {
+            let content = drop_map(dropped, count, outbox);
+            self.tell_of_drops(&[outbox.peer], dropped.context, path, content, touched);
+        }
+    }
+
+    fn tell_of_drops(
+        &self,
+        told: &[PeerId],
+        context: ContextNumber,
+        path: Path,
+        content: Map,
+        touched: &mut Touched,
+    ) {
+        let mut parcel = Parcel::new(Family::Event, event::DROPPED)
+            .context(path)
+            .content(content);
+        parcel.number = Some(context);
+        for peer in told {
+            self.tell(*peer, parcel.clone(), touched);
         }
     }
 
@@ -413,4 +433,13 @@ fn shutdown() -> WireError {
 /// Flushes every outbox of a turn.
 pub(crate) fn flush(touched: &mut Touched) {
     touched.drain(..).for_each(|outbox| outbox.flush());
+}
+
+/// What is said of messages that were dropped.
+fn drop_map(dropped: Dropped, count: u64, receiver: &Outbox) -> Map {
+    Map::new()
+        .with("reason", dropped.reason.word())
+        .with("delivery", dropped.class.word())
+        .with("count", i64::try_from(count).unwrap_or(i64::MAX))
+        .with("receiver", &*receiver.name())
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use mom_broker::{Broker, Clock, Config};
 use mom_proto::codec::Form;
-use mom_proto::{Code, Family, Limit, Map, Parcel, Value, WireError};
+use mom_proto::{Code, Delivery, Family, Limit, Map, Parcel, Value, WireError};
 use mom_tests::attacks::configuration;
 use mom_tests::canary::fence_of;
 use mom_tests::raw::{Raw, at, message};
@@ -278,5 +278,86 @@ async fn no_more_waits_for_a_device_than_it_reads_in_a_second() {
     // The network between them holds some.
     assert!(dropped > 100, "of 1 MB {dropped} of 200 notes were refused");
     rover.next_of(Family::Message, "note").await;
+    broker.stop().await;
+}
+
+/// Invites the arm to 150 channels; to how many it may.
+async fn invite_again_and_again(bob: &mut Raw) -> usize {
+    bob.join(&["/free"]).await;
+    let mut invited = 0;
+    for number in 0..150 {
+        let room = at(&format!("/free/room-{number}"));
+        let create = Parcel::new(Family::Context, "create").context(room.clone());
+        let made = bob.ask(create.content(Map::new().with("kind", "channel"))).await;
+        made.expect("permitted");
+        bob.join(&[room.as_str()]).await;
+        let invite = Parcel::new(Family::Context, "invite").context(room);
+        let invite = invite.content(Map::new().with("peer", "arm"));
+        invited += usize::from(bob.ask(invite).await.is_ok());
+    }
+    invited
+}
+
+/// What others want of an owner, and of its device, and what was dropped on its way to that, is told in a few words, and not without end.
+#[tokio::test]
+async fn nobody_fills_what_an_owner_and_a_device_hear_of_others() {
+    let mut config = Config::load(&configuration()).expect("a right configuration");
+    config.limits.outbox = 256 << 10;
+    let broker = Broker::start_at(config, Clock::system())
+        .await
+        .expect("it starts");
+    let address = broker.local_addr();
+    let mut robot = robot(address).await;
+    let mut operator = Raw::connect_small(address, Form::Binary).await;
+    operator.log_in("alice").await;
+    operator.join(&["/robot", ARM]).await;
+    let fence = own(&mut operator).await;
+    let mut bobs = Vec::new();
+    for _ in 0..60 {
+        let mut bob = member(address, "bob").await;
+        for _ in 0..4 {
+            let wish = Map::new()
+                .with("within", 1)
+                .with("text", "x".repeat(60_000).as_str());
+            let request = Parcel::new(Family::Token, "request").context(at("/robot/token"));
+            bob.post(request.content(wish)).await;
+        }
+        bobs.push(bob);
+    }
+    let invited = invite_again_and_again(&mut bobs[0]).await;
+    assert!((100..150).contains(&invited), "{invited}");
+    // Newer states replace older ones, of each sender; the first ones fill what is under way.
+    for round in 0..8 {
+        for bob in &mut bobs {
+            let mut state = message("state", ARM, Value::Binary(vec![7; 2000].into()));
+            (state.delivery, state.address) = (Some(Delivery::Latest), Some(vec!["arm".into()]));
+            state.receipt = Some(round == 7);
+            bob.post(state).await;
+        }
+    }
+    for bob in &mut bobs {
+        bob.next_of(Family::Reply, "ok").await;
+    }
+    operator
+        .ask(command(fence, 1))
+        .await
+        .expect("it is taken, and the owner was not closed");
+    let (mut bytes, mut drops) = (0, 0);
+    loop {
+        let parcel = robot.next().await.expect("it is not closed");
+        if parcel.is(Family::Message, "command") {
+            break;
+        }
+        bytes += if parcel.family == Family::Event {
+            parcel.size()
+        } else {
+            0
+        };
+        drops += usize::from(parcel.is(Family::Event, "dropped"));
+    }
+    assert!(
+        bytes < 100_000 && drops < 20,
+        "{bytes} bytes of events, {drops} of drops"
+    );
     broker.stop().await;
 }

@@ -2,8 +2,7 @@
 
 use std::fs;
 use std::net::SocketAddr;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::pin::pin;
 use std::time::{Duration, Instant};
 
 use mom_tests::attacks::{Attack, Attackers, configuration};
@@ -11,6 +10,7 @@ use mom_tests::canary::Canary;
 use mom_tests::process::{files, resident, threads};
 use mom_tests::programs::{PATIENCE, Running, project};
 use tokio::task::spawn_blocking;
+use tokio::time::sleep;
 
 const MIB: usize = 1 << 20;
 
@@ -42,27 +42,24 @@ async fn no_attack_takes_more_memory_than_there_is_for_all() {
     fs::write(&file, format!("memory = {MEMORY}\n{text}")).expect("written");
     let started = spawn_blocking(move || Running::broker(&file)).await;
     let (broker, address) = started.expect("it starts");
-    let broker = Arc::new(broker);
     let address: SocketAddr = address.parse().expect("an address");
     let mut canary = Canary::start(address).await;
     canary.check().await;
     let before = (resident(&broker, "VmRSS"), threads(&broker), files(&broker));
-    let (most, over) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicBool::new(false)));
-    let looking = spawn_blocking({
-        let (broker, most, over) = (Arc::clone(&broker), Arc::clone(&most), Arc::clone(&over));
-        move || {
-            while !over.load(Ordering::Relaxed) {
-                most.fetch_max(resident(&broker, "VmRSS"), Ordering::Relaxed);
-                std::thread::sleep(LOOK); // tidy: it looks again and again
-            }
-        }
-    });
     let allowed = MEMORY + MEMORY / 4 + BESIDE;
     for attack in Attack::ALL {
-        let mut attackers = Attackers::connect(attack, address).await;
-        attackers.round().await;
-        canary.check().await;
-        let most = most.swap(0, Ordering::Relaxed);
+        let mut most = 0;
+        let mut round = pin!(async {
+            let mut attackers = Attackers::connect(attack, address).await;
+            attackers.round().await;
+            canary.check().await;
+        });
+        loop {
+            tokio::select! {
+                () = &mut round => break,
+                () = sleep(LOOK) => most = resident(&broker, "VmRSS").max(most), // tidy: it looks again and again
+            }
+        }
         println!("{}: {} MiB at most", attack.word(), most / MIB);
         assert!(
             most <= allowed,
@@ -72,8 +69,6 @@ async fn no_attack_takes_more_memory_than_there_is_for_all() {
             allowed / MIB
         );
     }
-    over.store(true, Ordering::Relaxed);
-    looking.await.expect("it looks");
     let ended = Instant::now();
     let allowed = before.0 + before.0 / 10 * 3 + BESIDE;
     loop {
