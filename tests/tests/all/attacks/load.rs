@@ -56,7 +56,7 @@ impl Run {
         let number = |name: &str| env::var(name).ok().and_then(|text| text.parse::<u64>().ok());
         let now = SystemTime::now().duration_since(UNIX_EPOCH);
         Run {
-            seconds: number("MOM_LOAD_SECONDS").unwrap_or(15),
+            seconds: number("MOM_LOAD_SECONDS").unwrap_or(8),
             // A whole test run has a fixed seed for all that is random.
             seed: number("MOM_LOAD_SEED")
                 .or_else(|| number("PROPTEST_RNG_SEED"))
