@@ -67,7 +67,11 @@ impl World {
             return false;
         };
         let many = context.presence == Presence::Counts && context.members.len() > above;
-        !many && self.tell_pace.take(Told::Of(number), &who.user, self.now).is_ok()
+        !many
+            && self
+                .tell_pace
+                .take(Told::Presence(number), &who.user, self.now)
+                .is_ok()
     }
 
     /// Has a count follow when it is time for one.

@@ -16,12 +16,17 @@ const EACH: Micros = 50_000;
 /// Entries from which on it is looked for those that are paid back.
 const MANY: usize = 64;
 
-/// What others are told of.
+/// What others are told of; each is counted apart, so that who uses up one, as all guests may together, has the others still.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Told {
-    Of(ContextNumber),
-    /// A peer, of what somebody wants of it.
-    To(PeerId),
+    /// Who comes to a context, or leaves it.
+    Presence(ContextNumber),
+    /// Whose a token is.
+    Owner(ContextNumber),
+    /// Who asks for a token.
+    Asked(ContextNumber),
+    /// That somebody invites this peer.
+    Invited(PeerId),
 }
 
 /// What users have had others told of lately.
@@ -85,7 +90,7 @@ impl World {
         let Some(user) = self.user_of(peer).filter(|_| self.owner_of(token) != Some(peer)) else {
             return Ok(());
         };
-        match self.tell_pace.is_used_up(Told::Of(token), &user, self.now) && self.moves_devices(token) {
+        match self.tell_pace.is_used_up(Told::Owner(token), &user, self.now) && self.moves_devices(token) {
             true => Err(TooOften.refusal(&user, "takes this")),
             false => Ok(()),
         }
@@ -95,7 +100,7 @@ impl World {
     pub(crate) fn count_change(&mut self, peer: PeerId, token: ContextNumber) {
         if let Some(user) = self.user_of(peer) {
             // One that is not refused any more is too many for the next.
-            let _ = self.tell_pace.take(Told::Of(token), &user, self.now);
+            let _ = self.tell_pace.take(Told::Owner(token), &user, self.now);
         }
     }
 
@@ -131,7 +136,7 @@ mod tests {
     #[test]
     fn each_user_has_his_own_and_nothing_is_kept_of_who_rests() {
         let mut pace = TellPace::default();
-        let (here, there) = (Told::Of(ContextNumber(1)), Told::To(PeerId(1)));
+        let (here, there) = (Told::Owner(ContextNumber(1)), Told::Asked(ContextNumber(1)));
         let [alice, bob]: [Arc<str>; 2] = ["alice".into(), "bob".into()];
         let mut taken =
             |context, user, now| (0..200).filter(|_| pace.take(context, user, now).is_ok()).count();

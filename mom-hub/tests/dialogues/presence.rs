@@ -193,6 +193,16 @@ fn a_devices_token_that_goes_to_and_fro_is_counted_and_a_refusal_is_not() {
         refused += put_off(&of(&stage.say("alice", "token grab /lab/key"), &["alice"]));
     }
     assert_eq!(refused, 0, "held, and renewed");
+    // Nor does who comes and goes use up what he, or another guest, may take.
+    stage.say("alice", "token release /lab/key");
+    for _ in 0..200 {
+        stage.say("carol", "context leave /lab/key");
+        stage.say("carol", "context join /lab/key");
+    }
+    let heard = of(&stage.say("carol", "token grab /lab/key"), &["carol"]);
+    assert_eq!(put_off(&heard), 0, "{heard:?}");
+    stage.say("carol", "token release /lab/key");
+    stage.say("alice", "token grab /lab/key");
     let mut given = 0;
     for (from, to) in [("alice", "bob"), ("bob", "alice")].into_iter().cycle().take(400) {
         stage.say(from, &format!("token give /lab/key to={to}"));

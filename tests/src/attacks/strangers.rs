@@ -6,6 +6,7 @@ use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::time::timeout;
 
 use crate::asking::{Asking, request, upgrade};
+use crate::bridge::websocket::take;
 use crate::raw::PATIENCE;
 
 /// WebSocket frames of nothing, with a mask of zeros: a ping, and an empty binary message.
@@ -22,21 +23,14 @@ pub(super) async fn flood(address: SocketAddr, frame: [u8; 6]) -> u16 {
     let (mut reads, mut writes) = stream.into_split();
     let frames = frame.repeat(10_000);
     let flooding = tokio::spawn(async move { while writes.write_all(&frames).await.is_ok() {} });
-    let mut heard = said.to_vec();
+    let mut heard = said;
     while let Ok(Ok(1..)) = timeout(PATIENCE, reads.read_buf(&mut heard)).await {}
     flooding.abort();
     // Behind answers to pings, and what the hub says itself: a close with its status.
-    let mut frames = &heard[..];
     loop {
-        let (kind, length) = (frames[0], usize::from(frames[1]));
-        let (head, length) = match length {
-            126 => (4, usize::from(u16::from_be_bytes([frames[2], frames[3]]))),
-            length => (2, length),
-        };
-        if kind == 0x88 {
-            return u16::from_be_bytes([frames[head], frames[head + 1]]);
+        if let (0x88, status) = take(&mut heard).expect("it says why") {
+            return u16::from_be_bytes([status[0], status[1]]);
         }
-        frames = &frames[head + length..];
     }
 }
 

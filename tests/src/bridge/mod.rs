@@ -3,7 +3,7 @@
 
 pub(crate) mod tls;
 mod tunnel;
-mod websocket;
+pub(crate) mod websocket;
 
 use std::fmt;
 use std::io;

@@ -82,7 +82,7 @@ async fn down(mut hub: OwnedReadHalf, mut arrived: BytesMut, mut near: OwnedWrit
 }
 
 /// The next frame of a hub, once it is here.
-fn take(arrived: &mut BytesMut) -> Option<(u8, BytesMut)> {
+pub(crate) fn take(arrived: &mut BytesMut) -> Option<(u8, BytesMut)> {
     let (first, second) = (*arrived.first()?, *arrived.get(1)?);
     let digits = match second {
         126 => 2,

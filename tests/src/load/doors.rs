@@ -3,7 +3,7 @@
 use std::io;
 use std::time::Duration;
 
-use bytes::{Buf as _, BytesMut};
+use bytes::BytesMut;
 use fastrand::Rng;
 use mom_net::Door;
 use mom_proto::codec::Form;
@@ -11,6 +11,7 @@ use mom_proto::codec::Form;
 use super::pipe::{Pipe, Route};
 use crate::asking::upgrade;
 use crate::bridge::Way;
+use crate::bridge::websocket::take;
 
 const LAST: u8 = 0x80;
 const TEXT: u8 = 1;
@@ -315,24 +316,4 @@ fn stray_frame(rng: &mut Rng) -> Vec<u8> {
         12..40 => frame(LAST | (PING + 1), &text),
         _ => frame(LAST | PING, &text),
     }
-}
-
-/// The next frame of a hub, once it is here.
-fn take(arrived: &mut BytesMut) -> Option<(u8, BytesMut)> {
-    let (first, second) = (*arrived.first()?, *arrived.get(1)?);
-    let digits = match second {
-        126 => 2,
-        127 => 8,
-        _ => 0,
-    };
-    let size = arrived.get(2..2 + digits)?;
-    let size = match digits {
-        0 => usize::from(second),
-        _ => size.iter().fold(0, |size, byte| size << 8 | usize::from(*byte)),
-    };
-    if arrived.len() < 2 + digits + size {
-        return None;
-    }
-    arrived.advance(2 + digits);
-    Some((first, arrived.split_to(size)))
 }

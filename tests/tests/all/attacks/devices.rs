@@ -14,8 +14,12 @@ const ARM: &str = "/robot/arm";
 const NOTE: usize = 60 * 1024;
 
 async fn start(stalled: u64) -> (Broker, SocketAddr) {
+    start_with(|config| config.limits.stalled = stalled).await
+}
+
+async fn start_with(change: impl FnOnce(&mut Config)) -> (Broker, SocketAddr) {
     let mut config = Config::load(&configuration()).expect("a right configuration");
-    config.limits.stalled = stalled;
+    change(&mut config);
     let broker = Broker::start_at(config, Clock::system())
         .await
         .expect("it starts");
@@ -208,13 +212,11 @@ async fn a_large_message_of_anothers_is_no_reason_to_close_it() {
 /// Of who comes and goes, and of who has its token, a device hears before its owner's commands: nobody has it hear of nothing else.
 #[tokio::test]
 async fn nobody_fills_what_the_hub_itself_has_to_say_to_a_device() {
-    let mut config = Config::load(&configuration()).expect("a right configuration");
-    config.limits.outbox = 256 << 10;
-    config.limits.requests = Limit::Unlimited;
-    let broker = Broker::start_at(config, Clock::system())
-        .await
-        .expect("it starts");
-    let address = broker.local_addr();
+    let (broker, address) = start_with(|config| {
+        config.limits.outbox = 256 << 10;
+        config.limits.requests = Limit::Unlimited;
+    })
+    .await;
     let mut robot = robot(address).await;
     let mut bob = member(address, "bob").await;
     let mut ask = async |verbs: [(Family, &str); 2], path: &str, times: usize| {
@@ -301,12 +303,7 @@ async fn invite_again_and_again(bob: &mut Raw) -> usize {
 /// What others want of an owner, and of its device, and what was dropped on its way to that, is told in a few words, and not without end.
 #[tokio::test]
 async fn nobody_fills_what_an_owner_and_a_device_hear_of_others() {
-    let mut config = Config::load(&configuration()).expect("a right configuration");
-    config.limits.outbox = 256 << 10;
-    let broker = Broker::start_at(config, Clock::system())
-        .await
-        .expect("it starts");
-    let address = broker.local_addr();
+    let (broker, address) = start_with(|config| config.limits.outbox = 256 << 10).await;
     let mut robot = robot(address).await;
     let mut operator = Raw::connect_small(address, Form::Binary).await;
     operator.log_in("alice").await;
