@@ -79,7 +79,6 @@ impl ModelOptions {
 enum Heard {
     Camera(usize, Event),
     Robot(Event),
-    Token(Path, Event),
     Model(Event),
 }
 
@@ -170,13 +169,9 @@ pub async fn run(
     // The tasks end with this function.
     let mut tasks = JoinSet::new();
     let (sender, mut heard) = mpsc::channel(WAITING);
-    let tokens = join_tokens(&client, &options).await?;
-    for token in tokens.values() {
+    let mut tokens = join_tokens(&client, &options).await?;
+    for (token, _) in &tokens {
         server.handle_token_info(token.path(), &token.info().await?);
-        let path = token.path().clone();
-        forward(&mut tasks, token.events(), &sender, move |event| {
-            Heard::Token(path.clone(), event)
-        });
     }
     let robot = client.channel(&options.robot).await?;
     forward(&mut tasks, robot.events(), &sender, Heard::Robot);
@@ -193,7 +188,8 @@ pub async fn run(
         looking.begin(&server);
         if asking.is_none() && server.ask_users() {
             let contexts = tokens
-                .keys()
+                .iter()
+                .map(|(token, _)| token.path())
                 .chain([channel.path()])
                 .map(Path::to_string)
                 .collect();
@@ -208,7 +204,9 @@ pub async fn run(
             () = &mut shutdown => break,
             event = heard.recv() => {
                 let event = event.ok_or_else(|| ended(&client))?;
-                take(event, &mut server, &mut looking, &tokens, &client, &mut out).await;
+                // The hub tells of an owner before it forwards what he writes.
+                take_owners(&mut tokens, &mut server).await;
+                take(event, &mut server, &mut looking, wall(&client), &mut out);
             }
             look = looking.done() => if let Some((camera, look)) = look {
                 server.handle_look(camera, look, wall(&client), &mut out);
@@ -216,7 +214,10 @@ pub async fn run(
             users = done(&mut asking) => {
                 server.handle_users(&users.unwrap_or_default(), wall(&client), &mut out);
             }
-            _ = tick.tick() => server.advance(wall(&client), &mut out),
+            _ = tick.tick() => {
+                take_owners(&mut tokens, &mut server).await;
+                server.advance(wall(&client), &mut out);
+            }
         }
     }
     client.close().await;
@@ -224,7 +225,7 @@ pub async fn run(
 }
 
 /// The tokens by which objects are written: that of all, and those beside the model's channel.
-async fn join_tokens(client: &Client, options: &ModelOptions) -> Result<BTreeMap<Path, Token>, ClientError> {
+async fn join_tokens(client: &Client, options: &ModelOptions) -> Result<Vec<(Token, Events)>, ClientError> {
     let session = options
         .channel
         .rsplit_once('/')
@@ -233,10 +234,11 @@ async fn join_tokens(client: &Client, options: &ModelOptions) -> Result<BTreeMap
     let beside = client.list(session).await?;
     let beside = beside.iter().filter(|context| context.kind == ContextKind::Token);
     paths.extend(beside.map(|context| context.path.to_string()));
-    let mut tokens = BTreeMap::new();
+    let mut tokens = Vec::new();
     for path in paths {
         let token = client.token(&path).await?;
-        tokens.insert(token.path().clone(), token);
+        let events = token.events();
+        tokens.push((token, events));
     }
     Ok(tokens)
 }
@@ -287,15 +289,25 @@ fn forward(
     });
 }
 
-async fn take(
-    heard: Heard,
-    server: &mut ModelServer,
-    looking: &mut Looking,
-    tokens: &BTreeMap<Path, Token>,
-    client: &Client,
-    out: &mut Vec<Parcel>,
-) {
-    let now = wall(client);
+/// Takes what has come of tokens.
+async fn take_owners(tokens: &mut [(Token, Events)], server: &mut ModelServer) {
+    for (token, events) in tokens {
+        while let Some(event) = events.try_next() {
+            tracing::trace!(?event);
+            server.handle_token(token.path(), &event);
+            if matches!(event, Event::Rejoined | Event::Resumed | Event::Lagged(_)) {
+                match token.info().await {
+                    Ok(info) => server.handle_token_info(token.path(), &info),
+                    Err(error) => {
+                        tracing::warn!(%error, path = %token.path(), "the owner of the token is not known");
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn take(heard: Heard, server: &mut ModelServer, looking: &mut Looking, now: Time, out: &mut Vec<Parcel>) {
     match heard {
         Heard::Camera(camera, event) => {
             if let Some(image) = server.handle_camera(camera, &event, now) {
@@ -304,16 +316,6 @@ async fn take(
         }
         Heard::Robot(event) => server.handle_robot(&event, now, out),
         Heard::Model(event) => server.handle_model(&event, now, out),
-        Heard::Token(path, event) => {
-            server.handle_token(&path, &event);
-            let missed = matches!(event, Event::Rejoined | Event::Resumed | Event::Lagged(_));
-            if missed && let Some(token) = tokens.get(&path) {
-                match token.info().await {
-                    Ok(info) => server.handle_token_info(&path, &info),
-                    Err(error) => tracing::warn!(%error, %path, "the owner of the token is not known"),
-                }
-            }
-        }
     }
 }
 

@@ -340,6 +340,25 @@ async fn owners_of_tokens_write_and_nobody_else() {
     lab.end().await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_write_right_behind_its_grab_is_the_owners() {
+    let lab = Lab::start().await;
+    let alice = lab.join("alice").await;
+    let channel = alice.channel("/model/objects").await.expect("people may");
+    let token = alice.token("/model/green").await.expect("people may");
+    let mut events = channel.events();
+    next(&mut events, &["objects"]).await;
+    for round in 0..200 {
+        let green = Map::new().with("name", "green").with("x", round).with("y", 20);
+        let (owned, ()) = tokio::join!(token.grab(), write(&alice, green));
+        let owned = owned.expect("it is free");
+        let answer = next(&mut events, &["objects", "write-refused"]).await;
+        assert_eq!(answer.name(), "objects", "round {round}: {:?}", answer.value());
+        owned.release().await.expect("it is hers");
+    }
+    lab.end().await;
+}
+
 /// Carol has the higher level, and takes the robot while red is in the jaws: alice's command says so at its end.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_plan_that_is_broken_off_says_where_the_block_is() {
