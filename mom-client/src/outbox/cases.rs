@@ -223,6 +223,7 @@ impl Talker {
         let all = Allowance {
             bytes: usize::MAX,
             piece: CHUNK,
+            stops: usize::MAX,
         };
         let now = u64::try_from(self.wall.load(Ordering::Relaxed)).expect("after 1970");
         let mut state = self.shared.lock();

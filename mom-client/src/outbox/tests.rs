@@ -265,6 +265,7 @@ fn another_peer_on_the_same_link_begins_anew() {
     let nothing = Allowance {
         bytes: 0,
         piece: MOST,
+        stops: usize::MAX,
     };
     outbox.take(0, nothing, Limit::Unlimited, &mut batch);
     let begun = batch.pop_front().unwrap();
@@ -311,6 +312,7 @@ fn what_was_taken_before_all_was_forgotten_is_lost() {
             let nothing = Allowance {
                 bytes: 0,
                 piece: MOST,
+                stops: usize::MAX,
             };
             outbox.take(0, nothing, Limit::Unlimited, &mut batch);
             assert_eq!(batch.len(), usize::from(begun > 0 && !link_is_gone));
@@ -395,6 +397,7 @@ fn what_is_over_does_not_leave() {
     let all = Allowance {
         bytes: MOST,
         piece: MOST,
+        stops: usize::MAX,
     };
     assert!(outbox.take(1_500_000, all, Limit::Unlimited, &mut batch));
     assert_eq!(hub.take(&batch.pop_front().unwrap()), ["stop"]);

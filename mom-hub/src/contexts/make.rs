@@ -86,6 +86,7 @@ impl World {
         if let Role::Token(token) = &mut role {
             self.restore(&path, token);
         }
+        let pace = self.note_pace(parent, spec.pace()?);
         let number = self.tree.next_number();
         self.tree.insert(Context {
             number,
@@ -102,6 +103,7 @@ impl World {
             invited: BTreeMap::new(),
             expelled: BTreeMap::new(),
             presence: spec.presence.unwrap_or_default(),
+            pace,
             next_count: 0,
             count_due: false,
             transient: spec.transient,
@@ -120,6 +122,14 @@ impl World {
             self.timers.insert((until, Timer::Reserved(number)));
         }
         Ok(number)
+    }
+
+    /// Notes in its session how fast the devices of a new channel read.
+    fn note_pace(&mut self, parent: ContextNumber, pace: Option<u32>) -> Option<u32> {
+        if let Some(session) = self.tree.get_mut(parent) {
+            session.pace = session.pace.into_iter().chain(pace).min();
+        }
+        pace
     }
 
     /// Checks that a user may make one more context, with so many bytes of manager.
@@ -227,7 +237,6 @@ impl World {
                 guard: self.make_guard(spec)?,
                 delivery: spec.delivery()?,
                 overflow: spec.overflow()?,
-                pace: spec.pace()?,
                 keep: spec.keep.map(KeepArgs::read).transpose()?,
             })),
             ContextKind::Token => make_token(spec, terms).map(|token| Role::Token(Box::new(token))),
@@ -322,6 +331,7 @@ pub(crate) fn make_root(number: ContextNumber, manager: Box<dyn Manager>, word: 
         invited: BTreeMap::new(),
         expelled: BTreeMap::new(),
         presence: Presence::None,
+        pace: None,
         next_count: 0,
         count_due: false,
         transient: false,

@@ -8,7 +8,6 @@ use crate::Effect;
 use crate::tree::context::Presence;
 use crate::values::count;
 use crate::world::events::peer_map;
-use crate::world::tell_pace::Told;
 use crate::world::{Timer, World};
 
 impl World {
@@ -67,11 +66,7 @@ impl World {
             return false;
         };
         let many = context.presence == Presence::Counts && context.members.len() > above;
-        !many
-            && self
-                .tell_pace
-                .take(Told::Presence(number), &who.user, self.now)
-                .is_ok()
+        !many && self.count_presence(number, &who.user).is_ok()
     }
 
     /// Has a count follow when it is time for one.

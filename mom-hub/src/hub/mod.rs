@@ -147,6 +147,7 @@ impl Hub {
             Timer::Lease(token) => world.end_at_deadline(token, out),
             Timer::Count(context) => world.push_count(context, out),
             Timer::Wait(token, ticket) => world.end_wait(token, ticket, out),
+            Timer::Turn(token) => world.advance_queue(token, out),
             Timer::Offer(token) => world.end_offer(token, "timed-out", out),
             Timer::Request(token, ticket) => world.end_asked(token, ticket, out),
             Timer::Answer(question) => {

@@ -2,7 +2,7 @@
 
 use mom_managers::Answer;
 use mom_proto::event::{self, Reason};
-use mom_proto::{Code, ContextNumber, Family, Map, Parcel, Verb, WireError};
+use mom_proto::{Code, ContextNumber, Family, Map, Micros, Parcel, Verb, WireError};
 
 use crate::asking::questions::Due;
 use crate::asking::wish::Wish;
@@ -111,9 +111,16 @@ impl World {
             return;
         }
         let (mut place, mut refused) = (0, false);
+        let mut again: Option<Micros> = None;
         while let Some((at, waiter)) = self.next_waiter(number, place) {
             if waiter.asking {
                 break;
+            }
+            // Others of its user have had it too often: it waits on, and others have their turn.
+            if let Err(too_often) = self.check_turn(waiter.peer, number) {
+                again = again.into_iter().chain([too_often.wait]).min();
+                place = at + 1;
+                continue;
             }
             let wish = Wish::new(Verb::Grab, number);
             let verdict = self.consult(waiter.peer, &wish, &waiter.answers);
@@ -151,6 +158,9 @@ impl World {
             self.take_waiter(number, waiter.ticket);
             self.refuse_all(&[(waiter.peer, waiter.id)], &error, Verb::Grab, number, out);
             refused = true;
+        }
+        if let Some(wait) = again {
+            self.timers.insert((self.after(wait), Timer::Turn(number)));
         }
         // Once for all: each of thousands that may be refused moves all behind it. Also after a grant that could not be
         // stored or whose peer was gone, which left the queue for nothing; one that is being stored tells at its end.
@@ -213,7 +223,7 @@ impl World {
         let Some(token) = context.token_mut() else {
             return self.fault("a queue is told of a context that is no token");
         };
-        let (places, turn) = (token.take_place_news(now), token.take_turn_news());
+        let (places, turn) = (token.take_place_news(now), token.take_turn_news(now));
         for news in places {
             let mut content = Map::new().with("place", count(news.place));
             if let Some(expected) = news.expected {
@@ -222,9 +232,9 @@ impl World {
             self.push_event(event::QUEUED, &path, vec![news.peer], content, out);
         }
         // As long as nobody waits, an owner keeps the token beyond its turn: it has to hear when that is over.
-        if let Some((turn, end)) = turn.and_then(|turn| turn.end.map(|end| (turn, end))) {
+        if let Some(turn) = turn {
             let content = Map::new()
-                .with("within", self.millis_until(end))
+                .with("within", self.millis_until(turn.end))
                 .with("waiting", count(turn.waiting));
             self.push_event(event::NOTICE, &path, vec![turn.owner], content, out);
         }

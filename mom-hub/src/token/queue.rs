@@ -14,6 +14,9 @@ pub(crate) const MOST: usize = 4096;
 /// thousand events for each grant.
 const TOLD: usize = 8;
 
+/// So much later than the owner was told its turn has to end for that to be told, µs.
+const NEWS: Micros = 1_000_000;
+
 /// A waiter's place that it was not told yet.
 pub(crate) struct PlaceNews {
     pub(crate) peer: PeerId,
@@ -26,8 +29,7 @@ pub(crate) struct PlaceNews {
 /// The end of the owner's turn, where it has changed.
 pub(crate) struct TurnNews {
     pub(crate) owner: PeerId,
-    /// None: nobody waits any more.
-    pub(crate) end: Option<Micros>,
+    pub(crate) end: Micros,
     pub(crate) waiting: usize,
 }
 
@@ -128,11 +130,16 @@ impl Token {
         news
     }
 
-    /// The end of the owner's turn if it has changed since the owner was told, which from now on counts as told.
-    pub(crate) fn take_turn_news(&mut self) -> Option<TurnNews> {
-        let (end, waiting) = (self.hold_end(), self.queue.len());
-        let owner = self.owner.as_mut().filter(|owner| owner.noticed != end)?;
-        owner.noticed = end;
+    /// The end of the owner's turn if the owner has to be told, which from now on counts as told.
+    pub(crate) fn take_turn_news(&mut self, now: Micros) -> Option<TurnNews> {
+        let (end, waiting) = (self.hold_end()?, self.queue.len());
+        // That it is a little later after all is no news: who waits and gives up again and again does not fill what waits for the owner.
+        let is_news = |told| end < told || told <= now || end - told >= NEWS;
+        let owner = self
+            .owner
+            .as_mut()
+            .filter(|owner| owner.noticed.is_none_or(is_news))?;
+        owner.noticed = Some(end);
         Some(TurnNews {
             owner: owner.peer,
             end,

@@ -217,21 +217,34 @@ fn a_turn_ends_when_others_have_waited_long_enough() {
     token.terms.hold = Some(30 * SECOND);
     token.terms.notice = 10 * SECOND;
     assert_eq!(token.hold_end(), None, "nobody waits");
-    let news = |token: &mut Token| {
-        let news = token.take_turn_news();
+    let news_at = |token: &mut Token, now: u64| {
+        let news = token.take_turn_news(now);
         news.map(|news| (news.owner, news.end, news.waiting))
     };
+    let news = |token: &mut Token| news_at(token, 0);
     assert_eq!(news(&mut token), None);
     token.enqueue(waiter(BOB, 0, 7 * SECOND)).unwrap();
     assert_eq!(token.hold_end(), Some(35 * SECOND));
-    assert_eq!(news(&mut token), Some((ALICE, Some(35 * SECOND), 1)));
+    assert_eq!(news(&mut token), Some((ALICE, 35 * SECOND, 1)));
     assert_eq!(news(&mut token), None, "it is told once");
     // Who comes when the turn is nearly over leaves the owner the notice.
     token.dequeue(BOB.0).unwrap();
     token.enqueue(waiter(CAROL, 0, 34 * SECOND)).unwrap();
-    assert_eq!(news(&mut token), Some((ALICE, Some(44 * SECOND), 1)));
+    assert_eq!(news(&mut token), Some((ALICE, 44 * SECOND, 1)));
     token.dequeue(CAROL.0).unwrap();
-    assert_eq!(news(&mut token), Some((ALICE, None, 0)), "nobody waits any more");
+    assert_eq!(news(&mut token), None, "nobody waits any more");
+    // Who waits and gives up again and again does not have the owner hear of nothing else.
+    let mut told = 0;
+    for round in 0..3000 {
+        let now = 34 * SECOND + round * 1000;
+        token.enqueue(waiter(BOB, 0, now)).unwrap();
+        told += usize::from(news_at(&mut token, now).is_some());
+        token.dequeue(BOB.0).unwrap();
+    }
+    assert_eq!(told, 2, "once a second");
+    // That it ends when the owner believed it had ended already is told.
+    token.enqueue(waiter(CAROL, 0, 60 * SECOND)).unwrap();
+    assert_eq!(news_at(&mut token, 60 * SECOND), Some((ALICE, 70 * SECOND, 1)));
 }
 
 #[test]

@@ -51,6 +51,8 @@ pub(crate) struct Context {
     /// Users that were put out, and until when they may not join again.
     pub(crate) expelled: BTreeMap<Arc<str>, Micros>,
     pub(crate) presence: Presence,
+    /// Bytes that the devices of a channel read in a second, as far as known; of a session the least that was ever said of its channels.
+    pub(crate) pace: Option<u32>,
     pub(crate) next_count: Micros,
     pub(crate) count_due: bool,
     /// Deleted with its last member.
@@ -77,8 +79,6 @@ pub(crate) struct Channel {
     pub(crate) guard: Option<GuardSpec>,
     pub(crate) delivery: Delivery,
     pub(crate) overflow: Overflow,
-    /// Bytes that its devices read in a second, as far as known.
-    pub(crate) pace: Option<u32>,
     pub(crate) keep: Option<Keep>,
 }
 

@@ -36,7 +36,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         Role::Channel(channel) => {
             info.set("delivery", channel.delivery.word());
             info.set("overflow", channel.overflow.word());
-            if let Some(pace) = channel.pace {
+            if let Some(pace) = context.pace {
                 info.set("pace", pace);
             }
             if let Some(member) = context.members.get(&request.peer) {

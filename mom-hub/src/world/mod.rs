@@ -80,6 +80,8 @@ pub(crate) enum Timer {
     Count(ContextNumber),
     /// Ends the waiting of a grab.
     Wait(ContextNumber, u64),
+    /// Looks again at a queue in which grabs of who had the token too often wait.
+    Turn(ContextNumber),
     /// Ends an offer.
     Offer(ContextNumber),
     /// Ends a request to an owner.

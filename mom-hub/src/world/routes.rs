@@ -20,7 +20,7 @@ impl World {
             guard: channel.guard.as_ref().map(|guard| self.guard(guard)),
             delivery: channel.delivery,
             overflow: channel.overflow,
-            pace: channel.pace,
+            pace: context.pace,
             keep: channel.keep,
             awaited: self.stops.is_awaited(number),
             lifted: context.lifted,

@@ -20,6 +20,7 @@ mod sessions;
 mod stage;
 mod stats;
 mod stops;
+mod tell_pace;
 mod terms;
 mod thinning;
 mod threat_19;

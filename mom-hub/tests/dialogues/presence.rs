@@ -2,9 +2,9 @@
 
 use mom_hub::{Effect, Settings};
 use mom_managers::Registry;
-use mom_proto::{Family, Map, Value};
+use mom_proto::{Family, Value};
 
-use crate::stage::{MS, Stage, context, lab, of};
+use crate::stage::{MS, Stage, context};
 
 fn stage(presence: &str) -> Stage {
     let settings = Settings {
@@ -139,75 +139,4 @@ fn who_comes_and_goes_again_and_again_is_counted_and_nobody_else() {
         one("joined", "b"),
         "after a rest by name again"
     );
-}
-
-/// A device hears of each change of its token before all commands: one user does not have it hear of nothing else.
-#[test]
-fn who_grabs_a_devices_token_all_the_time_is_told_to_try_later() {
-    for is_device in [true, false] {
-        let mut stage = Stage::new(lab(Map::new()));
-        stage.enter("alice", 1);
-        stage.enter("bob", 1);
-        if is_device {
-            stage.arrive("arm", 1);
-            stage.say("arm", "context join /lab");
-            stage.say("arm", "context join /lab/arm device=true");
-        }
-        let grabs = |stage: &mut Stage, name: &str, verb: &str| {
-            let mut refused = 0;
-            for _ in 0..150 {
-                let heard = of(&stage.say(name, &format!("token {verb} /lab/key")), &[name]);
-                refused += usize::from(heard.iter().any(|line| line.contains("try-later")));
-                let back = if verb == "grab" { "release" } else { "uninhibit" };
-                stage.say(name, &format!("token {back} /lab/key"));
-            }
-            refused
-        };
-        assert_eq!(grabs(&mut stage, "alice", "grab"), if is_device { 50 } else { 0 });
-        assert_eq!(
-            grabs(&mut stage, "bob", "inhibit"),
-            if is_device { 50 } else { 0 }
-        );
-        stage.at(5000);
-        assert_eq!(
-            grabs(&mut stage, "alice", "grab"),
-            if is_device { 50 } else { 0 },
-            "and again"
-        );
-    }
-}
-
-/// What counts is that it changes hands, by whatever verb; what changes nothing does not count.
-#[test]
-fn a_devices_token_that_goes_to_and_fro_is_counted_and_a_refusal_is_not() {
-    let mut stage = Stage::new(lab(Map::new()));
-    for name in ["alice", "bob", "carol", "arm"] {
-        stage.enter(name, 1);
-    }
-    stage.say("arm", "context join /lab/arm device=true");
-    stage.say("alice", "token grab /lab/key");
-    let put_off = |heard: &[String]| usize::from(heard.iter().any(|line| line.contains("try-later")));
-    let mut refused = 0;
-    for _ in 0..200 {
-        refused += put_off(&of(&stage.say("carol", "token grab /lab/key"), &["carol"]));
-        refused += put_off(&of(&stage.say("alice", "token grab /lab/key"), &["alice"]));
-    }
-    assert_eq!(refused, 0, "held, and renewed");
-    // Nor does who comes and goes use up what he, or another guest, may take.
-    stage.say("alice", "token release /lab/key");
-    for _ in 0..200 {
-        stage.say("carol", "context leave /lab/key");
-        stage.say("carol", "context join /lab/key");
-    }
-    let heard = of(&stage.say("carol", "token grab /lab/key"), &["carol"]);
-    assert_eq!(put_off(&heard), 0, "{heard:?}");
-    stage.say("carol", "token release /lab/key");
-    stage.say("alice", "token grab /lab/key");
-    let mut given = 0;
-    for (from, to) in [("alice", "bob"), ("bob", "alice")].into_iter().cycle().take(400) {
-        stage.say(from, &format!("token give /lab/key to={to}"));
-        let heard = of(&stage.say(to, "token accept /lab/key"), &[to]);
-        given += usize::from(heard.iter().any(|line| line.starts_with(&format!("{to}< ok"))));
-    }
-    assert!((150..=200).contains(&given), "{given} of 400");
 }

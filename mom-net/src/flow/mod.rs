@@ -26,6 +26,10 @@ const AHEAD: Duration = Duration::from_micros(2200);
 /// Segments that are always allowed: with fewer a receiver delays its acknowledgement.
 const LEAST_SEGMENTS: u64 = 2;
 
+/// Bytes of stops that may be under way beyond what fills the network: some ten. Who says many more delays only his own, or the kernel
+/// would hold a long queue of them that nothing can overtake or replace.
+const STOPS: usize = 4096;
+
 /// Bytes to which the budget of a link that is faster than it can be looked at may grow.
 const MOST: u64 = 16 << 20;
 
@@ -42,6 +46,10 @@ pub struct Flow {
     budget: Option<u64>,
     /// What is known of the link; nothing for one that has never been given much, as most are.
     measure: Option<Box<Measure>>,
+    /// What is left of the last allowance, and what was written beyond it since all was acknowledged that was written by then.
+    left: usize,
+    beyond: usize,
+    beyond_from: u64,
     /// The network below does not say.
     blind: bool,
 }
@@ -75,15 +83,28 @@ pub struct Allowance {
     pub bytes: usize,
     /// At once, so that something urgent can go in between.
     pub piece: usize,
+    /// What is left for stops where nothing else may leave: one more than that may wait too, and be replaced by a newer one.
+    pub stops: usize,
 }
 
 impl Flow {
     /// What the link behind a writer may be given now.
     pub fn allowance(&mut self, writer: &Writer) -> Allowance {
+        let bytes = self.room(|| writer.link());
         Allowance {
-            bytes: self.room(|| writer.link()),
+            bytes,
             piece: self.piece(),
+            stops: self.stops(bytes),
         }
+    }
+
+    /// The bytes of stops that may leave where the link may be given so many bytes of anything.
+    fn stops(&mut self, room: usize) -> usize {
+        self.left = room;
+        if self.acknowledged >= self.beyond_from {
+            self.beyond = 0;
+        }
+        room.max(STOPS.saturating_sub(self.beyond))
     }
 
     /// How many bytes the link may be given now. `look` asks for its state ([`Writer::link`]) and is called
@@ -127,6 +148,14 @@ impl Flow {
 
     /// Notes what the link took.
     pub fn wrote(&mut self, bytes: usize) {
+        let within = bytes.min(self.left);
+        self.left -= within;
+        if within < bytes {
+            if self.beyond == 0 {
+                self.beyond_from = self.written + within as u64;
+            }
+            self.beyond += bytes - within;
+        }
         self.written += bytes as u64;
     }
 

@@ -205,6 +205,24 @@ fn a_window_that_does_not_grow_is_used() {
     assert!(share > 0.9, "{share}");
 }
 
+/// However much is under way some stops leave, and never so many that they are a long queue themselves.
+#[test]
+fn stops_are_under_way_up_to_a_bound() {
+    let mut link = Simulated::of_mbit(0.5, 5);
+    link.saturate(2000 * MS);
+    let mut longest = Duration::ZERO;
+    for _ in 0..5000 {
+        link.write();
+        while link.flow.stops(0) > 0 {
+            link.flow.wrote(300);
+            link.unsent += 300;
+        }
+        longest = longest.max(link.run(MS / 2, false).queue);
+    }
+    // STOPS and what is under way of others, at 62.5 kB/s.
+    assert!(longest > 60 * MS && longest < 150 * MS, "{longest:?}");
+}
+
 #[test]
 fn after_a_pause_it_begins_as_gently() {
     for pause in [100, 1000, 15_000] {

@@ -43,7 +43,8 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
                 Some(left) if left > 0 => {
                     self.pop_next(now, allowance.piece.min(left.max(allowance.piece / 2)))
                 }
-                _ => self.pop_unpaced().map_or(Next::None, Next::Ready),
+                _ if taken < allowance.stops => self.pop_unpaced().map_or(Next::None, Next::Ready),
+                _ => Next::None,
             };
             match next {
                 Next::Ready(piece) => {

@@ -130,6 +130,21 @@ impl Stage {
         self.login(PeerId(self.last_peer), user(name, level));
     }
 
+    /// One more program of a user, by a name of its own.
+    pub(crate) fn enter_for(&mut self, of: &str, nickname: &str) {
+        self.last_peer += 1;
+        self.id += 1;
+        let peer = PeerId(self.last_peer);
+        self.peers.insert(nickname.to_owned(), peer);
+        self.give(Input::Login {
+            peer,
+            user: user(of, 1),
+            nickname: Some(nickname.to_owned()),
+            id: Some(self.id),
+        });
+        self.say(nickname, "context join /lab");
+    }
+
     /// A login on a connection, which may be somebody else's so far.
     pub(crate) fn login(&mut self, peer: PeerId, user: User) -> Vec<String> {
         self.id += 1;

@@ -65,6 +65,7 @@ impl Link {
         let allowance = Allowance {
             bytes: usize::MAX,
             piece,
+            stops: usize::MAX,
         };
         while bytes > 0 {
             self.queue.take(0, allowance, &mut self.batch);

@@ -13,6 +13,7 @@ use mom_proto::Parcel;
 use mom_proto::codec::Encoded;
 
 use super::*;
+use crate::Allowance;
 
 thread_local! {
     /// How often the queue has looked at a packet's class.
@@ -381,6 +382,47 @@ fn the_newest_stop_leaves() {
 }
 
 /// Whatever waits in which order, a device that was stopped last stays stopped.
+/// Some leave where nothing else may; more wait, and a newer one takes the place of one that waits.
+#[test]
+fn no_more_stops_leave_than_the_network_may_hold() {
+    let stop = |context| {
+        let stop = packet("stop", Lane::Stop, Delivery::Reliable);
+        Arc::new(Packet {
+            origin: Origin {
+                context,
+                ..stop.origin.clone()
+            },
+            ..stop
+        })
+    };
+    let size = stop(0).frames.len();
+    let mut queue = queue(100_000);
+    queue.push(data("chat", Delivery::Reliable));
+    let left = |stops: usize, queue: &mut Queue| {
+        let mut batch = VecDeque::new();
+        let allowance = Allowance {
+            bytes: 0,
+            piece: 1000,
+            stops,
+        };
+        let rest = queue.take(0, allowance, &mut batch);
+        assert_eq!(batch.is_empty(), matches!(rest, Rest::NoRoom), "{rest:?}");
+        batch.len()
+    };
+    let push =
+        |queue: &mut Queue| (0..10).for_each(|context| assert_eq!(queue.push(stop(context)), Taken::Yes));
+    push(&mut queue);
+    assert_eq!(left(3 * size, &mut queue), 3);
+    assert_eq!(left(0, &mut queue), 0);
+    push(&mut queue);
+    assert_eq!(
+        left(usize::MAX, &mut queue),
+        10,
+        "of those that wait the newest ones"
+    );
+    assert_eq!(names(&mut queue), ["chat"]);
+}
+
 #[test]
 fn a_stop_withdraws_an_unstop_that_waits() {
     let mut queue = queue(100_000);

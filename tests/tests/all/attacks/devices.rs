@@ -209,6 +209,34 @@ async fn a_large_message_of_anothers_is_no_reason_to_close_it() {
     broker.stop().await;
 }
 
+/// Stops wait where a newer one takes their place, and not in the network, where everything would be behind them.
+#[tokio::test]
+async fn stops_again_and_again_are_no_queue_before_a_device() {
+    let (broker, address) = start(60_000).await;
+    let mut robot = robot(address).await;
+    let mut bob = member(address, "bob").await;
+    for _ in 0..1500 {
+        let stop = Parcel::new(Family::Context, "stop").context(at(ARM));
+        let stop = bob.ask(stop.content(Map::new().with("within", 1))).await;
+        stop.expect("everybody may");
+    }
+    let mut alice = member(address, "alice").await;
+    let own = alice.name().to_owned();
+    let stop = Parcel::new(Family::Context, "stop").context(at(ARM));
+    let stop = alice.ask(stop.content(Map::new().with("within", 1))).await;
+    stop.expect("everybody may");
+    let mut before = 0;
+    loop {
+        let stop = robot.next_of(Family::Message, "stop").await;
+        if stop.sender.as_deref() == Some(own.as_str()) {
+            break;
+        }
+        before += 1;
+    }
+    assert!(before < 500, "{before} of 1500 stops are before the newest");
+    broker.stop().await;
+}
+
 /// Of who comes and goes, and of who has its token, a device hears before its owner's commands: nobody has it hear of nothing else.
 #[tokio::test]
 async fn nobody_fills_what_the_hub_itself_has_to_say_to_a_device() {

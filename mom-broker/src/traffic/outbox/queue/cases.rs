@@ -130,6 +130,7 @@ impl Receiver {
         let all = Allowance {
             bytes: usize::MAX,
             piece: CHUNK,
+            stops: usize::MAX,
         };
         self.queue.take(self.clock.now(), all, &mut batch);
         let mut piece = batch.pop_front()?;
