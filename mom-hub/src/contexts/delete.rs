@@ -123,7 +123,7 @@ impl World {
         self.audit(fact, out);
         for peer in &members {
             if let Some(known) = self.peers.get_mut(*peer) {
-                known.joined.remove(&number);
+                known.left(number);
             }
         }
         self.push_last_safe_state(number, out);

@@ -86,7 +86,7 @@ impl World {
         if let Role::Token(token) = &mut role {
             self.restore(&path, token);
         }
-        let pace = self.note_pace(parent, spec.pace()?);
+        let pace = spec.pace()?;
         let number = self.tree.next_number();
         self.tree.insert(Context {
             number,
@@ -122,14 +122,6 @@ impl World {
             self.timers.insert((until, Timer::Reserved(number)));
         }
         Ok(number)
-    }
-
-    /// Notes in its session how fast the devices of a new channel read.
-    fn note_pace(&mut self, parent: ContextNumber, pace: Option<u32>) -> Option<u32> {
-        if let Some(session) = self.tree.get_mut(parent) {
-            session.pace = session.pace.into_iter().chain(pace).min();
-        }
-        pace
     }
 
     /// Checks that a user may make one more context, with so many bytes of manager.

@@ -52,6 +52,12 @@ impl World {
         };
         if member.thinning != thinning || member.device != device {
             *member = Arc::new(member.on_terms(thinning, device));
+            if let Some(known) = self.peers.get_mut(peer) {
+                match device {
+                    true => known.moves_in.insert(number),
+                    false => known.moves_in.remove(&number),
+                };
+            }
             // A peer that has just joined is told so before it hears anything.
             if !self.grown.contains(&number) {
                 self.changed.insert(number);
@@ -165,7 +171,7 @@ impl World {
         };
         let dissolves = context.transient && !context.permanent && context.members.is_empty();
         if let Some(known) = self.peers.get_mut(peer) {
-            known.joined.remove(&number);
+            known.left(number);
         }
         self.changed.insert(number);
         self.push_presence(number, event::LEFT, &member.facts, out);

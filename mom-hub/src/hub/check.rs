@@ -37,6 +37,18 @@ impl Hub {
                 Some(id),
                 "names and peers agree"
             );
+            for number in &peer.moves_in {
+                let channel = self
+                    .world
+                    .tree
+                    .get(*number)
+                    .expect("where a device is, is a channel");
+                assert!(
+                    channel.members.get(&id).is_some_and(|member| member.device),
+                    "{} is a device where it says so",
+                    peer.facts.name
+                );
+            }
             for number in &peer.joined {
                 let context = self.world.tree.get(*number).expect("a joined context exists");
                 assert!(

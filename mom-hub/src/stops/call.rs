@@ -19,6 +19,7 @@ use crate::tree::context::Context;
 use crate::values::count;
 use crate::world::steps::{Job, STEP, Sweep, TOLD, told};
 use crate::world::stops::{Call, Called, Kept, Order, Standing, Storing, Unstop, Word};
+use crate::world::tell_pace::Told;
 use crate::world::{Timer, World};
 use crate::{Effect, PeerId, Receivers};
 
@@ -72,6 +73,9 @@ pub(crate) fn begin(
         world.check_sweeps(peer)?;
     }
     let order = order(world, peer, verb, (&path, kind), args)?;
+    if verb == Verb::Unstop {
+        world.count_wish(peer, Told::Unstop(top), "lifts stops here")?;
+    }
     let waits = world
         .stops
         .calls

@@ -14,7 +14,7 @@ pub(crate) const MOST: usize = 4096;
 /// thousand events for each grant.
 const TOLD: usize = 8;
 
-/// So much later than the owner was told its turn has to end for that to be told, µs.
+/// So long after the owner was told the end of its turn a later one is told, µs.
 const NEWS: Micros = 1_000_000;
 
 /// A waiter's place that it was not told yet.
@@ -133,13 +133,13 @@ impl Token {
     /// The end of the owner's turn if the owner has to be told, which from now on counts as told.
     pub(crate) fn take_turn_news(&mut self, now: Micros) -> Option<TurnNews> {
         let (end, waiting) = (self.hold_end()?, self.queue.len());
-        // That it is a little later after all is no news: who waits and gives up again and again does not fill what waits for the owner.
-        let is_news = |told| end < told || told <= now || end - told >= NEWS;
+        // That it is later after all is told now and then: who waits and gives up again and again does not fill what waits for the owner.
+        let is_news = |(told, at)| end < told || (end > told && now.saturating_sub(at) >= NEWS);
         let owner = self
             .owner
             .as_mut()
             .filter(|owner| owner.noticed.is_none_or(is_news))?;
-        owner.noticed = Some(end);
+        owner.noticed = Some((end, now));
         Some(TurnNews {
             owner: owner.peer,
             end,

@@ -67,8 +67,8 @@ pub(crate) struct Ownership {
     pub(crate) alive_until: Option<Micros>,
     /// The end that the manager set, whatever the lease.
     pub(crate) until: Option<Micros>,
-    /// The end of its turn that the owner was told last.
-    pub(crate) noticed: Option<Micros>,
+    /// The end of its turn that the owner was told last, and when that was.
+    pub(crate) noticed: Option<(Micros, Micros)>,
     pub(crate) delegation: Option<Delegation>,
     /// How often the safe state went out under it, because the owner had lost its connection.
     pub(crate) halts: u64,

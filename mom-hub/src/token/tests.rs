@@ -230,7 +230,7 @@ fn a_turn_ends_when_others_have_waited_long_enough() {
     // Who comes when the turn is nearly over leaves the owner the notice.
     token.dequeue(BOB.0).unwrap();
     token.enqueue(waiter(CAROL, 0, 34 * SECOND)).unwrap();
-    assert_eq!(news(&mut token), Some((ALICE, 44 * SECOND, 1)));
+    assert_eq!(news_at(&mut token, 34 * SECOND), Some((ALICE, 44 * SECOND, 1)));
     token.dequeue(CAROL.0).unwrap();
     assert_eq!(news(&mut token), None, "nobody waits any more");
     // Who waits and gives up again and again does not have the owner hear of nothing else.

@@ -51,7 +51,7 @@ pub(crate) struct Context {
     /// Users that were put out, and until when they may not join again.
     pub(crate) expelled: BTreeMap<Arc<str>, Micros>,
     pub(crate) presence: Presence,
-    /// Bytes that the devices of a channel read in a second, as far as known; of a session the least that was ever said of its channels.
+    /// Bytes that the devices of a channel read in a second, as far as known.
     pub(crate) pace: Option<u32>,
     pub(crate) next_count: Micros,
     pub(crate) count_due: bool,

@@ -27,6 +27,8 @@ pub struct User {
 pub(crate) struct Peer {
     pub(crate) facts: Arc<PeerFacts>,
     pub(crate) joined: BTreeSet<ContextNumber>,
+    /// Channels of these in which it is a device.
+    pub(crate) moves_in: BTreeSet<ContextNumber>,
     pub(crate) owns: BTreeSet<ContextNumber>,
     /// Tokens that it waits for, asks for, is offered, has lent, or holds together with others.
     pub(crate) involved: BTreeSet<ContextNumber>,
@@ -42,11 +44,18 @@ impl Peer {
         Peer {
             facts,
             joined: BTreeSet::new(),
+            moves_in: BTreeSet::new(),
             owns: BTreeSet::new(),
             involved: BTreeSet::new(),
             clock: None,
             lost: None,
         }
+    }
+
+    /// Notes that it is in a context no more.
+    pub(crate) fn left(&mut self, number: ContextNumber) {
+        self.joined.remove(&number);
+        self.moves_in.remove(&number);
     }
 }
 

@@ -10,6 +10,7 @@ use crate::content;
 use crate::token::state::Offer;
 use crate::values::millis;
 use crate::world::World;
+use crate::world::tell_pace::Told;
 use crate::{Effect, PeerId};
 
 #[derive(Deserialize)]
@@ -48,6 +49,8 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         return Err(content::bad("to", "this peer has it already".to_owned()).into());
     }
     world.check_again(number, (Verb::Give, peer, to))?;
+    // The receiver hears of each, also of those that have lapsed.
+    world.count_wish(peer, Told::Wish(to), "asks this peer")?;
     let offer = Offer {
         by: peer,
         to,

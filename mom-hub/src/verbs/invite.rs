@@ -37,7 +37,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         let text = format!("there is no peer {:?}", args.peer);
         WireError::new(Code::UNKNOWN_PEER, text).slot("content/peer")
     })?;
-    world.count_wish(request.peer, Told::Invited(peer), "invites this peer")?;
+    world.count_wish(request.peer, Told::Wish(peer), "asks this peer")?;
     let (now, until) = (world.now, world.after(INVITED));
     let Some(context) = world.tree.get_mut(number) else {
         return Err(world

@@ -53,7 +53,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     }
     world.check_again(number, (Verb::Request, request.peer, owner))?;
     // The owner hears of each, also of those that have lapsed.
-    world.count_wish(request.peer, Told::Asked(number), "asks for this")?;
+    world.count_wish(request.peer, Told::Wish(owner), "asks this peer")?;
     world.last_waiter += 1;
     let asking = Asking {
         peer: request.peer,

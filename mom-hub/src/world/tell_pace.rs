@@ -8,7 +8,7 @@ use mom_proto::{Code, ContextNumber, Gcra, Micros, Pace, Wait, WireError};
 
 use super::World;
 use crate::PeerId;
-use crate::tree::context::Context;
+use crate::tree::peers::Peer;
 
 /// The most times at once.
 const AT_ONCE: u64 = 100;
@@ -26,10 +26,10 @@ pub(crate) enum Told {
     Presence(ContextNumber),
     /// Whose a token is.
     Owner(ContextNumber),
-    /// Who asks for a token.
-    Asked(ContextNumber),
-    /// That somebody invites this peer.
-    Invited(PeerId),
+    /// That stops of a channel, or of all below a session, are lifted.
+    Unstop(ContextNumber),
+    /// That somebody wants something of this peer: its token, that it takes one, that it comes.
+    Wish(PeerId),
 }
 
 impl Told {
@@ -37,18 +37,18 @@ impl Told {
     fn each(self) -> Micros {
         match self {
             Told::Owner(_) => 50_000,
-            Told::Presence(_) => 250_000,
+            Told::Presence(_) | Told::Unstop(_) => 250_000,
             // What people or agents answer.
-            Told::Asked(_) | Told::Invited(_) => 1_000_000,
+            Told::Wish(_) => 1_000_000,
         }
     }
 
-    /// About how many bytes a device gets of one: a change of owner is `halt`, `released` and `grabbed`.
+    /// About how many bytes a device gets of one: a change of owner is `halt`, `released` and `grabbed`, and what nobody answers lapses.
     fn bytes(self) -> u64 {
         match self {
             Told::Owner(_) => 800,
             Told::Presence(_) => 200,
-            Told::Asked(_) | Told::Invited(_) => 400,
+            Told::Unstop(_) | Told::Wish(_) => 400,
         }
     }
 
@@ -115,6 +115,12 @@ impl TellPace {
         Ok(())
     }
 
+    /// Whether a user has had it told lately.
+    fn owes(&self, told: Told, user: &Arc<str>, now: Micros) -> bool {
+        let paid_at = self.of.get(&(told, Arc::clone(user)));
+        paid_at.is_some_and(|paid_at| *paid_at > now)
+    }
+
     /// Checks that one more would not be too many.
     fn check(&self, told: Told, user: &Arc<str>, reads: Option<u32>, now: Micros) -> Result<(), TooOften> {
         let terms = told.terms(reads);
@@ -153,9 +159,16 @@ impl TooOften {
     }
 }
 
+/// Those for whom it matters that they hear other things, too, among who is told of a token.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Hearers {
+    /// Bytes that the slowest of the devices among them reads in a second, as far as known.
+    reads: Option<u32>,
+}
+
 impl World {
-    /// Checks that a user does not have a device told of its token all the time: each change is told before all commands. What changes nothing
-    /// is not counted.
+    /// Checks that a user does not have devices and owners told of a token all the time: each change is told before all commands. What
+    /// changes nothing is not counted.
     pub(crate) fn check_tell_pace(&self, peer: PeerId, token: ContextNumber) -> Result<(), WireError> {
         let Some(user) = self.user_of(peer) else {
             return Ok(());
@@ -167,17 +180,21 @@ impl World {
     /// The same, for a grab that waits for its turn anyway.
     pub(crate) fn check_turn(&self, peer: PeerId, token: ContextNumber) -> Result<(), TooOften> {
         let user = self.user_of(peer).filter(|_| self.owner_of(token) != Some(peer));
-        let Some(user) = user.filter(|_| self.moves_devices(token)) else {
+        let told = Told::Owner(token);
+        let Some(user) = user.filter(|user| self.tell_pace.owes(told, user, self.now)) else {
             return Ok(());
         };
-        let reads = self.slowest_guarded(token);
-        self.tell_pace.check(Told::Owner(token), &user, reads, self.now)
+        match self.hearers(token, &user) {
+            Some(Hearers { reads }) => self.tell_pace.check(told, &user, reads, self.now),
+            None => Ok(()),
+        }
     }
 
     /// Counts that a token is a peer's from now on.
     pub(crate) fn count_change(&mut self, peer: PeerId, token: ContextNumber) {
         if let Some(user) = self.user_of(peer) {
-            let reads = self.slowest_guarded(token);
+            let hearers = self.hearers(token, &user);
+            let reads = hearers.and_then(|hearers| hearers.reads);
             // One that is not refused any more is too many for the next.
             let _ = self.tell_pace.take(Told::Owner(token), &user, reads, self.now);
         }
@@ -185,8 +202,10 @@ impl World {
 
     /// Whether it is told by name that a user comes to a context, or leaves it.
     pub(crate) fn count_presence(&mut self, number: ContextNumber, user: &Arc<str>) -> Result<(), TooOften> {
-        let reads = self.tree.get(number).and_then(|context| context.pace);
-        self.tell_pace.take(Told::Presence(number), user, reads, self.now)
+        let told = Told::Presence(number);
+        let owes = self.tell_pace.owes(told, user, self.now);
+        let reads = if owes { self.slowest_in(number) } else { None };
+        self.tell_pace.take(told, user, reads, self.now)
     }
 
     /// Counts that a user wants something, of which others are told.
@@ -197,7 +216,11 @@ impl World {
         let Some(user) = self.user_of(peer) else {
             return Ok(());
         };
-        let taken = self.tell_pace.take(told, &user, None, self.now);
+        let reads = match told {
+            Told::Wish(to) => self.reads(to),
+            Told::Presence(number) | Told::Owner(number) | Told::Unstop(number) => self.slowest_in(number),
+        };
+        let taken = self.tell_pace.take(told, &user, reads, self.now);
         taken.map_err(|too_often| too_often.refusal(&user, what))
     }
 
@@ -206,20 +229,39 @@ impl World {
         Some(Arc::clone(&known.facts.user))
     }
 
-    /// Whether a device is where a token guards.
-    fn moves_devices(&self, token: ContextNumber) -> bool {
-        let mut channels = self.guarded(token);
-        channels.any(|channel| channel.members.values().any(|member| member.device))
+    /// The devices and owners of other users that are told whose a token is; none if there are none.
+    fn hearers(&self, token: ContextNumber, user: &Arc<str>) -> Option<Hearers> {
+        let guarded = self.token(token).into_iter().flat_map(|token| &token.guarded);
+        let places = guarded.copied().chain([token]);
+        let members = places.filter_map(|place| self.tree.get(place));
+        let peers = members
+            .flat_map(|place| place.members.keys())
+            .filter_map(|peer| self.peers.get(*peer));
+        let matter = peers
+            .filter(|peer| !peer.moves_in.is_empty() || (!peer.owns.is_empty() && peer.facts.user != *user));
+        let slowest = matter.map(|peer| self.reads_of(peer));
+        let slowest = slowest.reduce(|one, other| one.into_iter().chain(other).min());
+        slowest.map(|reads| Hearers { reads })
     }
 
-    /// Bytes that the slowest of the devices that a token moves reads in a second, as far as known.
-    fn slowest_guarded(&self, token: ContextNumber) -> Option<u32> {
-        self.guarded(token).filter_map(|channel| channel.pace).min()
+    /// Bytes that the slowest device of a context's members reads in a second, as far as known.
+    fn slowest_in(&self, number: ContextNumber) -> Option<u32> {
+        let members = self
+            .tree
+            .get(number)
+            .into_iter()
+            .flat_map(|place| place.members.keys());
+        members.filter_map(|peer| self.reads(*peer)).min()
     }
 
-    fn guarded(&self, token: ContextNumber) -> impl Iterator<Item = &Context> {
-        let channels = self.token(token).into_iter().flat_map(|token| &token.guarded);
-        channels.filter_map(|channel| self.tree.get(*channel))
+    fn reads(&self, peer: PeerId) -> Option<u32> {
+        self.reads_of(self.peers.get(peer)?)
+    }
+
+    /// Bytes that a peer reads in a second, by the channels in which it is a device.
+    fn reads_of(&self, peer: &Peer) -> Option<u32> {
+        let channels = peer.moves_in.iter().filter_map(|channel| self.tree.get(*channel));
+        channels.filter_map(|channel| channel.pace).min()
     }
 }
 
@@ -230,7 +272,7 @@ mod tests {
     #[test]
     fn each_user_has_his_own_and_nothing_is_kept_of_who_rests() {
         let mut pace = TellPace::default();
-        let (here, there) = (Told::Owner(ContextNumber(1)), Told::Asked(ContextNumber(1)));
+        let (here, there) = (Told::Owner(ContextNumber(1)), Told::Unstop(ContextNumber(1)));
         let [alice, bob]: [Arc<str>; 2] = ["alice".into(), "bob".into()];
         let mut taken = |context, user, now| {
             (0..200)

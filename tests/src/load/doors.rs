@@ -152,7 +152,8 @@ impl Line {
                     match first & 0x0f {
                         CLOSE => return Err(io::ErrorKind::UnexpectedEof.into()),
                         0..=BINARY => into.extend_from_slice(&payload),
-                        _ => {}
+                        // A pong may come between the parts of a message.
+                        _ => continue,
                     }
                     if *text && first & LAST != 0 {
                         into.extend_from_slice(b"\n");

@@ -249,6 +249,8 @@ impl Peer {
         let parcel = match self.decoder.decode(&mut self.input) {
             Ok(None) => return None,
             Ok(Some(Frame::Parcel(parcel))) => *parcel,
+            // To whom has begun in no form the hub says so in its own.
+            Ok(Some(Frame::Malformed { .. })) if !self.logged_in => return Some(None),
             Ok(Some(Frame::Malformed { error, .. })) => panic!("the hub says to {self:?}: {error}"),
             Err(_) if !self.logged_in => return Some(None),
             // The numbers of contexts hold for all connections of a link, and this generator forgets them.

@@ -233,6 +233,9 @@ async fn random_load_leaves_nothing_in_the_program() {
         canary.check().await;
         held = held.max(used(&told(&mut observer).await));
         most = most.max(resident(&broker, "VmRSS"));
+        if std::env::var_os("RSS_TRACE").is_some() {
+            eprintln!("RSS {} {}", resident(&broker, "VmRSS") / MIB, held);
+        }
         let allowed = MEMORY_OF_PROGRAM + MEMORY_OF_PROGRAM / 4 + BESIDE;
         assert!(most <= allowed, "{} of {} MiB", most / MIB, allowed / MIB);
     }
