@@ -232,10 +232,8 @@ async fn random_load_leaves_nothing_in_the_program() {
     while loads.iter().any(|load| !load.is_finished()) {
         canary.check().await;
         held = held.max(used(&told(&mut observer).await));
-        most = most.max(resident(&broker, "VmRSS"));
-        if std::env::var_os("RSS_TRACE").is_some() {
-            eprintln!("RSS {} {}", resident(&broker, "VmRSS") / MIB, held);
-        }
+        // What it allocates: a debug build has 32 MiB of its own file there, too, which the system takes back as it likes.
+        most = most.max(resident(&broker, "RssAnon"));
         let allowed = MEMORY_OF_PROGRAM + MEMORY_OF_PROGRAM / 4 + BESIDE;
         assert!(most <= allowed, "{} of {} MiB", most / MIB, allowed / MIB);
     }
