@@ -30,11 +30,15 @@ pub(super) fn remote(connection: Remote, headers: &HeaderMap, believed: &[Networ
         from: Some(near),
         ..relayed
     };
-    let lines: Vec<&str> = headers
-        .get_all(FORWARDED)
-        .into_iter()
-        .map_while(|value| value.to_str().ok())
-        .collect();
+    let lines = headers.get_all(FORWARDED).into_iter();
+    let lines: Result<Vec<&str>, _> = lines.map(|value| value.to_str()).collect();
+    // A quote that nobody has closed may hold the proxy's own word, and what stands before it may be anybody's.
+    let Some(lines) = lines
+        .ok()
+        .filter(|lines| lines.iter().all(|line| is_balanced(line)))
+    else {
+        return last;
+    };
     let all = lines.join(",");
     // Each proxy adds itself at the end. What stands before one that is not on the list may be anybody's word.
     for element in split(&all, ',').into_iter().rev() {
@@ -58,19 +62,39 @@ pub(super) fn remote(connection: Remote, headers: &HeaderMap, believed: &[Networ
     last
 }
 
-/// Splits where this stands outside of quotes.
-fn split(text: &str, by: char) -> Vec<&str> {
-    let (mut quoted, mut escaped) = (false, false);
-    text.split(move |c| {
-        let now = std::mem::take(&mut escaped);
+/// Where text is quoted, character by character.
+#[derive(Clone, Copy, Debug, Default)]
+struct Quotes {
+    open: bool,
+    escaped: bool,
+}
+
+impl Quotes {
+    /// Takes the next character; whether it is quoted.
+    fn take(&mut self, c: char) -> bool {
+        let escaped = std::mem::take(&mut self.escaped);
         match c {
-            '\\' if quoted && !now => escaped = true,
-            '"' if !now => quoted = !quoted,
+            '\\' if self.open && !escaped => self.escaped = true,
+            '"' if !escaped => self.open = !self.open,
             _ => {}
         }
-        !quoted && c == by
-    })
-    .collect()
+        self.open
+    }
+}
+
+/// Splits where this stands outside of quotes.
+fn split(text: &str, by: char) -> Vec<&str> {
+    let mut quotes = Quotes::default();
+    text.split(move |c| !quotes.take(c) && c == by).collect()
+}
+
+/// Whether each quote is closed.
+fn is_balanced(text: &str) -> bool {
+    let mut quotes = Quotes::default();
+    for c in text.chars() {
+        quotes.take(c);
+    }
+    !quotes.open
 }
 
 /// `key=value` or `key="value"`.
@@ -140,6 +164,25 @@ mod tests {
                 "127.0.0.1",
                 &["for=\"_a,for=1.1.1.1\", for=192.0.2.60"],
                 far,
+                false,
+            ),
+            // A quote that is not closed, by whom it may be: nothing is believed.
+            (
+                "127.0.0.1",
+                &["for=1.1.1.1;proto=https;by=\"_a, for=192.0.2.60"],
+                "127.0.0.1",
+                false,
+            ),
+            (
+                "127.0.0.1",
+                &["for=1.1.1.1;proto=https;by=\"_a", "for=192.0.2.60"],
+                "127.0.0.1",
+                false,
+            ),
+            (
+                "127.0.0.1",
+                &["for=1.1.1.1;proto=https;by=\"_a\\\"", "for=192.0.2.60"],
+                "127.0.0.1",
                 false,
             ),
             ("127.0.0.1", &["for=unknown;proto=https"], "127.0.0.1", false),

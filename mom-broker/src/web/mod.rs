@@ -22,7 +22,7 @@ use std::time::Duration;
 use http::header::{
     CONNECTION, CONTENT_ENCODING, CONTENT_LENGTH, HOST, HeaderMap, ORIGIN, TRANSFER_ENCODING,
 };
-use http::{HeaderValue, Method, Request, Response, StatusCode};
+use http::{HeaderValue, Method, Request, Response, StatusCode, Version};
 use hyper::body::{Body as _, Incoming};
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
@@ -287,7 +287,7 @@ impl HttpConnection {
             // Two lengths may be read differently by a proxy and by us; one needs no second.
             let text = "send the body with Content-Length, without Transfer-Encoding";
             Some((StatusCode::LENGTH_REQUIRED, text))
-        } else if headers.get_all(HOST).into_iter().count() > 1 {
+        } else if !hosts(request.version()).contains(&headers.get_all(HOST).into_iter().count()) {
             Some((StatusCode::BAD_REQUEST, "a request has one Host"))
         } else if headers.contains_key(CONTENT_ENCODING) {
             let text = "send the body as it is, without Content-Encoding";
@@ -406,6 +406,11 @@ impl HttpConnection {
             }
         }
     }
+}
+
+/// So many `Host` fields a request may have: RFC 9112, 3.2.
+fn hosts(version: Version) -> std::ops::RangeInclusive<usize> {
+    if version == Version::HTTP_10 { 0..=1 } else { 1..=1 }
 }
 
 /// What a person reads who asks the hub by a program such as curl.

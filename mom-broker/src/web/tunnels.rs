@@ -7,7 +7,8 @@ use http::header::ALLOW;
 use http::{HeaderValue, Method, Request, Response, StatusCode};
 use hyper::body::Incoming;
 use mom_hub::PeerId;
-use mom_net::{Privacy, Tunnel};
+use mom_net::Tunnel;
+use mom_proto::Code;
 use tokio::time::Instant;
 
 use super::HttpConnection;
@@ -31,18 +32,18 @@ impl HttpConnection {
                 .insert(ALLOW, HeaderValue::from_static("POST"));
             return answer;
         }
-        let near = |from: IpAddr| from.to_canonical().is_loopback() && !self.remote.relayed;
-        if self.privacy == Privacy::Plain && !self.remote.from.is_some_and(near) {
-            let text = "a tunnel without TLS is for loopback: others could take it over; use https://";
-            return refuse(StatusCode::FORBIDDEN, mom_proto::Code::INSECURE.word(), text);
-        }
         let remote = self.remote_of(request.headers());
+        let near = |from: IpAddr| from.to_canonical().is_loopback() && !remote.relayed;
+        if !self.is_secured(remote) && !remote.from.is_some_and(near) {
+            let text = "a tunnel without TLS is for loopback: others could take it over; use https://";
+            return refuse(StatusCode::FORBIDDEN, Code::INSECURE.word(), text);
+        }
         let from = remote.from.unwrap_or(IpAddr::V4(Ipv4Addr::UNSPECIFIED));
         let seated = match self.services.seat(&self.web.doors, from) {
             Ok(seated) => seated,
             Err(error) => return self.refuse_full(from, &error),
         };
-        let Some(tunnel) = self.web.tunnels.open() else {
+        let Some(tunnel) = self.web.tunnels.open(self.is_secured(remote)) else {
             return refuse(
                 StatusCode::INTERNAL_SERVER_ERROR,
                 "internal",
@@ -91,6 +92,10 @@ impl HttpConnection {
                 "there is no such tunnel; open one with POST /tunnel",
             );
         };
+        if tunnel.is_private() && !self.is_secured(self.remote_of(request.headers())) {
+            let text = "this tunnel was opened over TLS, and is used over TLS only";
+            return refuse(StatusCode::FORBIDDEN, Code::INSECURE.word(), text);
+        }
         if let Err(error) = self.count_as_user_of(&tunnel) {
             return refuse(StatusCode::SERVICE_UNAVAILABLE, error.code.word(), &error.text);
         }

@@ -1,6 +1,7 @@
 //! Users who ask by HTTP: each is a peer of the hub like any other, inside this process, and sees what that peer may see.
 
 use std::collections::HashMap;
+use std::net::IpAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -21,6 +22,10 @@ use crate::connection::{Remote, Serving, login_time};
 /// A visit by cookie ends after so long without a request, one by token sooner: the token opens another.
 const IDLE: Duration = Duration::from_secs(15 * 60);
 const TOKEN_IDLE: Duration = Duration::from_secs(60);
+
+/// Visits of guests from one address that are open at once, each a peer of the hub: one more ends the one that was not used for longest, so that nobody
+/// locks all others out.
+const GUESTS: usize = 16;
 
 /// The name of the cookie.
 const NAME: &str = "mom-session";
@@ -46,6 +51,8 @@ pub(super) struct Visitor {
     /// Channels whose images it has asked for.
     pub(super) watched: tokio::sync::Mutex<HashMap<Path, Arc<Watched>>>,
     used: Mutex<Instant>,
+    /// Where a guest comes from, who has shown nothing.
+    guest_from: Option<IpAddr>,
 }
 
 impl Visitors {
@@ -60,13 +67,23 @@ impl Visitors {
     }
 
     /// Keeps a visitor until it is not used for long, or its user is put out.
-    fn keep(self: &Arc<Visitors>, credential: Credential, client: Client) -> Arc<Visitor> {
+    fn keep(
+        self: &Arc<Visitors>,
+        credential: Credential,
+        client: Client,
+        guest_from: Option<IpAddr>,
+    ) -> Arc<Visitor> {
         let visitor = Arc::new(Visitor {
             client,
             watched: tokio::sync::Mutex::default(),
             used: Mutex::new(Instant::now()),
+            guest_from,
         });
+        let one_too_many = guest_from.and_then(|from| self.take_oldest_guest(from));
         self.open.lock().insert(credential, Arc::clone(&visitor));
+        if let Some(oldest) = one_too_many {
+            tokio::spawn(oldest.client.clone().close());
+        }
         let (visitors, kept) = (Arc::clone(self), Arc::clone(&visitor));
         tokio::spawn(async move {
             let idle = match credential {
@@ -82,6 +99,23 @@ impl Visitors {
             }
         });
         visitor
+    }
+}
+
+impl Visitors {
+    /// Takes out the guest from an address that was not here for longest, if there are as many as may.
+    fn take_oldest_guest(&self, from: IpAddr) -> Option<Arc<Visitor>> {
+        let mut open = self.open.lock();
+        let guests = open
+            .iter()
+            .filter(|(_, visitor)| visitor.guest_from == Some(from));
+        let guests = guests.map(|(credential, visitor)| (*visitor.used.lock(), *credential));
+        let guests: Vec<(Instant, Credential)> = guests.collect();
+        let oldest = guests.iter().min_by_key(|(used, _)| *used)?;
+        match guests.len() >= GUESTS {
+            true => open.remove(&oldest.1),
+            false => None,
+        }
     }
 }
 
@@ -119,7 +153,7 @@ impl HttpConnection {
                     Some(visitor) => visitor,
                     None => {
                         let client = self.log_in(remote, "", Proof::Token(token.to_owned())).await?;
-                        self.web.visitors.keep(credential, client)
+                        self.web.visitors.keep(credential, client, None)
                     }
                 }
             }
@@ -142,6 +176,7 @@ impl HttpConnection {
         let remote = self
             .private_remote(headers)
             .map_err(|error| refuse_wire(&error))?;
+        let guest_from = remote.from.filter(|_| matches!(proof, Proof::Guest));
         let client = self.log_in(remote, user, proof).await?;
         let id = SecretId::random().ok_or_else(|| {
             refuse(
@@ -150,7 +185,8 @@ impl HttpConnection {
                 "this machine has no randomness",
             )
         })?;
-        self.web.visitors.keep(Credential::Cookie(id), client.clone());
+        let visitors = &self.web.visitors;
+        visitors.keep(Credential::Cookie(id), client.clone(), guest_from);
         let secure = if self.is_secured(remote) { "; Secure" } else { "" };
         Ok((client, cookie_of(&id.to_string(), secure)))
     }
@@ -195,7 +231,7 @@ impl HttpConnection {
     /// Whose a request is that shows a secret; refused where others could have read it.
     fn private_remote(&self, headers: &HeaderMap) -> Result<Remote, WireError> {
         let remote = self.remote_of(headers);
-        let near = |from: std::net::IpAddr| from.to_canonical().is_loopback() && !remote.relayed;
+        let near = |from: IpAddr| from.to_canonical().is_loopback() && !remote.relayed;
         if self.is_secured(remote) || remote.from.is_some_and(near) {
             return Ok(remote);
         }

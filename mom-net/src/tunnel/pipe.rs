@@ -56,6 +56,8 @@ pub(super) enum Misplaced {
     Gap(u64),
     /// More has come than is read.
     Full(u64),
+    /// Nobody reads any more.
+    Over,
 }
 
 impl Pipe {
@@ -132,6 +134,9 @@ impl Pipe {
     /// how many have come in all.
     pub(super) fn take_in(&self, at: u64, bytes: &[u8]) -> Result<u64, Misplaced> {
         let mut state = self.state.lock();
+        if state.broken.is_some() {
+            return Err(Misplaced::Over);
+        }
         let Some(known) = state.arrived_to.checked_sub(at) else {
             return Err(Misplaced::Gap(state.arrived_to));
         };
@@ -172,6 +177,12 @@ impl Pipe {
         self.sendable.notify_waiters();
         self.acknowledged.notify_waiters();
         self.settled.notify_waiters();
+    }
+
+    /// Gives back the memory of what nobody will have any more.
+    pub(super) fn empty(&self) {
+        let mut state = self.state.lock();
+        (state.arrived, state.kept) = (BytesMut::new(), BytesMut::new());
     }
 
     /// Notes that the peer has logged in.

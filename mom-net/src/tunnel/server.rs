@@ -39,6 +39,8 @@ pub struct Tunnel {
     id: Mutex<SecretId>,
     /// Its id is another than before its login.
     renewed: Mutex<bool>,
+    /// Nobody could read along when it was opened, so nobody may when it is used.
+    private: bool,
     /// Whose it is, in the numbers of the hub; 0 before that is known.
     peer: AtomicU64,
     /// The request that brings bytes down at the moment: one that is newer takes its place.
@@ -60,13 +62,14 @@ struct Said {
 }
 
 impl Tunnels {
-    /// Opens a tunnel; none where the system has no randomness.
-    pub fn open(&self) -> Option<Arc<Tunnel>> {
+    /// Opens a tunnel, for requests only that nobody can read along if it is `private`; none where the system has no randomness.
+    pub fn open(&self, private: bool) -> Option<Arc<Tunnel>> {
         let id = SecretId::random()?;
         let tunnel = Arc::new(Tunnel {
             pipe: Arc::default(),
             id: Mutex::new(id),
             renewed: Mutex::new(false),
+            private,
             peer: AtomicU64::new(0),
             turn: AtomicU64::new(0),
             turned: Notify::new(),
@@ -87,6 +90,8 @@ impl Tunnels {
         let _ = timeout(FAREWELL, tunnel.pipe.drained()).await;
         self.forget(tunnel);
         tunnel.pipe.break_off("the tunnel is closed");
+        // Requests that are under way have it still.
+        tunnel.pipe.empty();
     }
 
     fn forget(&self, tunnel: &Tunnel) {
@@ -100,10 +105,12 @@ impl Tunnels {
             return None;
         }
         let new = SecretId::random()?;
-        *renewed = true;
         let mut open = self.open.lock();
-        let old = std::mem::replace(&mut *tunnel.id.lock(), new);
-        open.remove(&old);
+        let mut id = tunnel.id.lock();
+        // One that has ended while this request was under way does not come back.
+        open.remove(&*id)?;
+        *id = new;
+        *renewed = true;
         open.insert(new, Arc::clone(tunnel));
         Some(new)
     }
@@ -167,6 +174,7 @@ impl Tunnels {
             Ok(_) => {}
             Err(Misplaced::Gap(taken)) => return count(StatusCode::CONFLICT, &[(TAKEN, taken)]),
             Err(Misplaced::Full(taken)) => return count(StatusCode::SERVICE_UNAVAILABLE, &[(TAKEN, taken)]),
+            Err(Misplaced::Over) => return refusal(StatusCode::GONE, "the tunnel has ended"),
         }
         if said.end {
             tunnel.pipe.took_all();
@@ -305,6 +313,11 @@ impl Tunnel {
     /// Whose it is, if that is known.
     pub fn peer(&self) -> Option<u64> {
         Some(self.peer.load(Ordering::Acquire)).filter(|peer| *peer > 0)
+    }
+
+    /// Whether only requests may use it that nobody can read along.
+    pub fn is_private(&self) -> bool {
+        self.private
     }
 
     /// Whether its peer has logged in.

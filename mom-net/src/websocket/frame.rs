@@ -44,6 +44,11 @@ pub(super) const NORMAL: Fault = Fault {
     text: "",
 };
 
+const NO_TEXT: Fault = Fault {
+    status: 1007,
+    text: "text is UTF-8",
+};
+
 fn fault(text: &'static str) -> Fault {
     Fault { status: 1002, text }
 }
@@ -211,7 +216,7 @@ impl Incoming {
                 CLOSE | PING | PONG => {
                     self.control.extend_from_slice(payload);
                     if frame.left == 0 {
-                        self.heed(frame.kind, rules, out);
+                        self.heed(frame.kind, rules, out)?;
                     }
                 }
                 _ => {
@@ -318,10 +323,6 @@ impl Incoming {
 
     /// Checks that a text is one, as far as it has come.
     fn check_text(&mut self, mut payload: &[u8]) -> Result<(), Fault> {
-        const NO_TEXT: Fault = Fault {
-            status: 1007,
-            text: "a text message is UTF-8",
-        };
         // At most four bytes are one.
         while let Some((first, rest)) = payload.split_first().filter(|_| !self.character.is_empty()) {
             self.character.push(*first);
@@ -345,17 +346,32 @@ impl Incoming {
     }
 
     /// Does what a control frame asks for.
-    fn heed(&mut self, kind: u8, rules: Rules, out: &mut BytesMut) {
+    fn heed(&mut self, kind: u8, rules: Rules, out: &mut BytesMut) -> Result<(), Fault> {
         let payload = std::mem::take(&mut self.control);
         match kind {
             PING if out.len() < ANSWERS => add(out, PONG, true, &[&payload], rules.mask()),
             CLOSE => {
+                check_close(&payload)?;
                 self.closed = true;
                 self.left = payload.starts_with(&LEFT.status.to_be_bytes());
             }
             _ => {}
         }
+        Ok(())
     }
+}
+
+/// Checks why the other side says that it closes: nothing, or a status that may be sent and words (RFC 6455, 5.5.1 and 7.4).
+fn check_close(payload: &[u8]) -> Result<(), Fault> {
+    let (status, words) = match payload {
+        [] => return Ok(()),
+        [first, second, words @ ..] => (u16::from_be_bytes([*first, *second]), words),
+        [_] => return Err(fault("a status has two bytes")),
+    };
+    if !matches!(status, 1000..=1003 | 1007..=1014 | 3000..=4999) {
+        return Err(fault("no close frame has this status"));
+    }
+    std::str::from_utf8(words).map(drop).map_err(|_| NO_TEXT)
 }
 
 fn of_kind(text: &'static str) -> Fault {

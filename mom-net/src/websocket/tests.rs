@@ -169,7 +169,11 @@ fn what_is_no_frame_is_refused_with_its_status() {
         assert_eq!(status(HUB, &masked(kind, 1)), 1002, "a part of {kind}");
         let long = [&[0x80 | kind, 0x80 | 126, 0, 126][..], &MASK, &[0; 126]].concat();
         assert_eq!(status(HUB, &long), 1002, "a long {kind}");
-        assert!(arrive(HUB, &[&frame(kind, true, &[0; 125], HUB)]).is_ok());
+        let full = match kind {
+            8 => [&[0x03, 0xe8][..], &[b'x'; 123]].concat(),
+            _ => vec![0; 125],
+        };
+        assert!(arrive(HUB, &[&frame(kind, true, &full, HUB)]).is_ok());
     }
     let endless = [&[0x82, 0xff][..], &[0xff; 8], &MASK].concat();
     assert_eq!(status(HUB, &endless), 1002);
@@ -188,6 +192,27 @@ fn what_is_no_frame_is_refused_with_its_status() {
     assert_eq!(status(HUB, &over.concat()), 1002);
     assert_eq!(status(HUB, &frame(TEXT, true, b"{}", HUB)), 1003);
     assert_eq!(status(HUB_TEXT, &frame(BINARY, true, b"{}", HUB)), 1003);
+}
+
+/// A close frame has no payload, or a status that may be sent, and words.
+#[test]
+fn a_close_frame_says_why_or_nothing() {
+    let close = |payload: &[u8]| {
+        arrive(HUB, &[&frame(8, true, payload, HUB)])
+            .err()
+            .map(|fault| fault.status)
+    };
+    let with = |status: u16, words: &[u8]| close(&[&status.to_be_bytes()[..], words].concat());
+    assert_eq!(close(b""), None);
+    assert_eq!(close(&[3]), Some(1002));
+    for status in [1000, 1001, 1002, 1003, 1007, 1011, 1014, 3000, 4000, 4999] {
+        assert_eq!(with(status, b""), None, "{status}");
+        assert_eq!(with(status, "Schluß".as_bytes()), None, "{status}");
+        assert_eq!(with(status, &[0xff]), Some(1007), "{status}");
+    }
+    for status in [0, 999, 1004, 1005, 1006, 1015, 1016, 2999, 5000, u16::MAX] {
+        assert_eq!(with(status, b""), Some(1002), "{status}");
+    }
 }
 
 /// A character may be cut anywhere, but not at the end of its message.

@@ -517,7 +517,7 @@ async fn threat_17_without_tls_it_is_for_loopback() {
     broker.stop().await;
 }
 
-/// What a proxy on this machine brings is somebody else's, who may be anywhere: no password is taken from there.
+/// What a proxy on this machine brings is somebody else's, who may be anywhere: neither a tunnel nor a password is taken from there.
 #[tokio::test]
 async fn threat_17_a_proxy_that_shows_itself_makes_no_password_safe() {
     let broker = lab::start().await;
@@ -526,14 +526,74 @@ async fn threat_17_a_proxy_that_shows_itself_makes_no_password_safe() {
         "Forwarded: for=127.0.0.1;proto=https\r\n",
         "X-Forwarded-For: 127.0.0.1\r\n",
     ] {
-        let mut tunnel = ByHand::open_with(&broker, field).await;
-        let content = Map::new().with("name", "alice").with("password", "alice");
-        let answer = tunnel
-            .say(Parcel::new(Family::Login, "login").content(content))
-            .await;
-        assert_eq!(answer.field("mom-tunnel"), None, "{field}");
-        let told = tunnel.until("insecure").await;
-        assert!(String::from_utf8_lossy(&told).contains("TLS"), "{field}");
+        let open = request("POST", "/tunnel", field, b"");
+        let refused = ask(broker.local_addr(), &open).await;
+        assert_eq!(refused.status, 403, "{field}");
+        assert!(refused.said().contains("\"insecure\""), "{field}: {refused:?}");
     }
+    broker.stop().await;
+}
+
+/// What was opened where nobody could read along is used there only; a proxy that is believed says so.
+#[tokio::test]
+async fn threat_17_a_tunnel_of_tls_is_used_over_tls_only() {
+    let broker = lab::start_with(|config| {
+        config.web.forwarded_by = vec!["127.0.0.1/32".parse().expect("a network")];
+    })
+    .await;
+    let secured = "Forwarded: for=192.0.2.60;proto=https\r\n";
+    let tunnel = ByHand::open_with(&broker, secured).await;
+    let path = tunnel.path("at=0");
+    for (field, status) in [
+        (secured, 200),
+        ("", 403),
+        ("Forwarded: for=192.0.2.60\r\n", 403),
+        ("Forwarded: for=192.0.2.60;proto=https;by=\"_a\r\n", 403),
+    ] {
+        let answer = ask(tunnel.address, &request("POST", &path, field, b"")).await;
+        assert_eq!(answer.status, status, "{field}: {answer:?}");
+    }
+    let open = request("POST", "/tunnel", "Forwarded: for=192.0.2.60\r\n", b"");
+    assert_eq!(ask(tunnel.address, &open).await.status, 403);
+    broker.stop().await;
+}
+
+/// A request whose last byte comes when its tunnel has ended brings nothing back.
+#[tokio::test]
+async fn threat_17_a_tunnel_that_has_ended_does_not_come_back() {
+    let broker = lab::start().await;
+    let mut tunnel = ByHand::open(&broker).await;
+    let content = Map::new().with("name", "alice").with("password", "alice");
+    let login = tunnel.encode(Parcel::new(Family::Login, "login").content(content));
+    let logout = tunnel.encode(Parcel::new(Family::Login, "logout"));
+    let both = [login, logout].concat();
+    let path = tunnel.path("at=0");
+    // The first begins, and the second brings the same bytes meanwhile and is cut before it is answered.
+    let whole = request("POST", &path, "", &both);
+    let (begin, last) = whole.split_at(whole.len() - 1);
+    let mut late = send(tunnel.address, begin).await;
+    let cut = send(tunnel.address, &whole).await;
+    let taken = async {
+        // Bytes that do not follow are not taken, and the answer says how many are here.
+        while tunnel.post(1 << 20, b"x").await.number("mom-taken") != Some(both.len()) {}
+    };
+    timeout(PATIENCE, taken).await.expect("they come");
+    drop(cut);
+    let gone = async {
+        loop {
+            let asked = request("GET", &tunnel.path("at=0&wait=1"), "", b"");
+            if ask(tunnel.address, &asked).await.status == 404 {
+                return;
+            }
+        }
+    };
+    timeout(PATIENCE, gone).await.expect("it ends");
+    late.write_all(last).await.expect("the hub reads it");
+    let answer = hear(late).await;
+    assert_eq!(
+        (answer.status, answer.field("mom-tunnel")),
+        (410, None),
+        "{answer:?}"
+    );
     broker.stop().await;
 }

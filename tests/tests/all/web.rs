@@ -8,6 +8,8 @@ use mom_tests::login::{Issuer, claims};
 use mom_tests::raw::{Raw, message};
 use mom_tests::web::{Answer, Connection, ask};
 use serde_json::json;
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::net::TcpStream;
 
 const TOKEN: &str = "figures-for-prometheus";
 
@@ -45,6 +47,63 @@ async fn health_is_told_to_anybody() {
         (unknown.status, &unknown.json()["code"]),
         (404, &json!("unknown-path"))
     );
+    broker.stop().await;
+}
+
+/// Nobody takes the places of all guests by visits that he leaves behind.
+#[tokio::test]
+async fn guests_of_one_address_have_some_visits_and_no_more() {
+    let broker = lab::start_with(|config| {
+        config.login.guests = true;
+        config.connections_per_user = Some(40);
+    })
+    .await;
+    let mut connection = Connection::open(broker.local_addr()).await;
+    let mut cookies = Vec::new();
+    for visit in 0..200 {
+        let opened = connection.ask("POST /api/login", &[], b"{}").await;
+        assert_eq!(opened.status, 200, "{visit}: {}", opened.text());
+        cookies.push(cookie(&opened));
+    }
+    let mut open = 0;
+    for cookie in &cookies {
+        let status = connection.ask("GET /api/contexts", &[cookie], b"").await.status;
+        // A guest may not look there.
+        assert!([403, 401].contains(&status), "{status}");
+        open += usize::from(status == 403);
+    }
+    assert_eq!(open, 16);
+    let last = cookies.last().expect("many").as_str();
+    assert_eq!(
+        connection.ask("GET /api/contexts", &[last], b"").await.status,
+        403
+    );
+    broker.stop().await;
+}
+
+/// RFC 9112, 3.2.
+#[tokio::test]
+async fn a_request_says_whom_it_asks() {
+    let broker = hub().await;
+    for (head, status) in [
+        ("GET /healthz HTTP/1.1\r\nHost: hub\r\n", 200),
+        ("GET /healthz HTTP/1.1\r\n", 400),
+        ("GET /healthz HTTP/1.1\r\nHost: hub\r\nHost: hub\r\n", 400),
+        ("GET /healthz HTTP/1.0\r\n", 200),
+    ] {
+        let mut stream = TcpStream::connect(broker.local_addr()).await.expect("it listens");
+        let asked = format!("{head}Connection: close\r\n\r\n");
+        stream.write_all(asked.as_bytes()).await.expect("it reads");
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).await.expect("it answers");
+        assert!(
+            answer.starts_with(&format!(
+                "HTTP/1.{} {status} ",
+                if head.contains("1.0") { 0 } else { 1 }
+            )),
+            "{head}: {answer}"
+        );
+    }
     broker.stop().await;
 }
 
