@@ -166,25 +166,6 @@ mod tests {
                 far,
                 false,
             ),
-            // A quote that is not closed, by whom it may be: nothing is believed.
-            (
-                "127.0.0.1",
-                &["for=1.1.1.1;proto=https;by=\"_a, for=192.0.2.60"],
-                "127.0.0.1",
-                false,
-            ),
-            (
-                "127.0.0.1",
-                &["for=1.1.1.1;proto=https;by=\"_a", "for=192.0.2.60"],
-                "127.0.0.1",
-                false,
-            ),
-            (
-                "127.0.0.1",
-                &["for=1.1.1.1;proto=https;by=\"_a\\\"", "for=192.0.2.60"],
-                "127.0.0.1",
-                false,
-            ),
             ("127.0.0.1", &["for=unknown;proto=https"], "127.0.0.1", false),
             ("127.0.0.1", &["192.0.2.60"], "127.0.0.1", false),
             ("127.0.0.1", &[""], "127.0.0.1", false),
@@ -204,6 +185,30 @@ mod tests {
             assert_eq!(found.from, Some(from.parse().expect("an address")), "{said:?}");
             assert_eq!(found.secured, secured, "{said:?}");
             assert!(found.relayed, "{said:?}");
+        }
+    }
+
+    #[test]
+    fn a_quote_that_is_not_closed_has_nothing_believed() {
+        let believed = ["127.0.0.1".parse().expect("a network")];
+        for said in [
+            &["for=1.1.1.1;proto=https;by=\"_a, for=192.0.2.60"][..],
+            &["for=1.1.1.1;proto=https;by=\"_a", "for=192.0.2.60"],
+            &["for=1.1.1.1;proto=https;by=\"_a\\\"", "for=192.0.2.60"],
+            &["for=1.1.1.1;proto=https", "for=192.0.2.60;by=\u{fc}"],
+        ] {
+            let mut headers = HeaderMap::new();
+            for said in said {
+                let said = HeaderValue::from_bytes(said.as_bytes()).expect("a header may have it");
+                headers.append(FORWARDED, said);
+            }
+            let found = remote(from("127.0.0.1"), &headers, &believed);
+            let proxy = from("127.0.0.1").from;
+            assert_eq!(
+                (found.from, found.secured, found.relayed),
+                (proxy, false, true),
+                "{said:?}"
+            );
         }
     }
 
