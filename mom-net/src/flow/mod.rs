@@ -45,16 +45,22 @@ pub struct Flow {
     /// Bytes that may be under way; none before the first look.
     budget: Option<u64>,
     /// What is known of the link; nothing for one that has never been given much, as most are.
-    measure: Option<Box<Measure>>,
-    /// What is left of the last allowance, and what was written beyond it since all was acknowledged that was written by then.
-    left: usize,
-    beyond: usize,
-    beyond_from: u64,
+    known: Option<Box<Observed>>,
     /// The network below does not say.
     blind: bool,
 }
 
-/// What is known of a link.
+/// What is known of a link that has been looked at.
+#[derive(Debug)]
+struct Observed {
+    measure: Measure,
+    /// What is left of the last allowance.
+    left: usize,
+    /// What was written beyond allowances since all was acknowledged that was written by then.
+    beyond: usize,
+    beyond_from: u64,
+}
+
 #[derive(Debug)]
 enum Measure {
     Probing(Probe),
@@ -100,11 +106,18 @@ impl Flow {
 
     /// The bytes of stops that may leave where the link may be given so many bytes of anything.
     fn stops(&mut self, room: usize) -> usize {
-        self.left = room;
-        if self.acknowledged >= self.beyond_from {
-            self.beyond = 0;
+        let Some(known) = self.known.as_deref_mut() else {
+            return usize::MAX;
+        };
+        known.left = room;
+        if self.acknowledged >= known.beyond_from {
+            known.beyond = 0;
         }
-        room.max(STOPS.saturating_sub(self.beyond))
+        room.max(STOPS.saturating_sub(known.beyond))
+    }
+
+    fn measure(&self) -> Option<&Measure> {
+        self.known.as_deref().map(|known| &known.measure)
     }
 
     /// How many bytes the link may be given now. `look` asks for its state ([`Writer::link`]) and is called
@@ -137,7 +150,7 @@ impl Flow {
 
     /// The most that is given at once, so that something urgent can go in between.
     fn piece(&self) -> usize {
-        let ahead = match self.measure.as_deref() {
+        let ahead = match self.measure() {
             _ if self.blind => return usize::MAX,
             Some(Measure::Known(known)) => known.ahead(),
             Some(Measure::Probing(probe)) => probe.burst(),
@@ -148,13 +161,8 @@ impl Flow {
 
     /// Notes what the link took.
     pub fn wrote(&mut self, bytes: usize) {
-        let within = bytes.min(self.left);
-        self.left -= within;
-        if within < bytes {
-            if self.beyond == 0 {
-                self.beyond_from = self.written + within as u64;
-            }
-            self.beyond += bytes - within;
+        if let Some(known) = self.known.as_deref_mut() {
+            known.wrote(self.written, bytes);
         }
         self.written += bytes as u64;
     }
@@ -166,10 +174,10 @@ impl Flow {
 
     /// Nothing waits any more, so the time from now on says nothing about the link.
     pub fn rest(&mut self) {
-        match self.measure.as_deref_mut() {
+        match self.known.as_deref_mut().map(|known| &mut known.measure) {
             Some(Measure::Known(known)) => known.rest(self.written),
             // The budget stays, so that who talks little is not looked at each time.
-            Some(Measure::Probing(probe)) if probe.is_new() => self.measure = None,
+            Some(Measure::Probing(probe)) if probe.is_new() => self.known = None,
             Some(Measure::Probing(probe)) => probe.rest(),
             None => {}
         }
@@ -192,20 +200,21 @@ impl Flow {
             pace: link.pace as f64,
         };
         let begin = || Measure::Probing(Probe::new(&look));
-        let measure = self.measure.get_or_insert_with(|| Box::new(begin()));
-        if let Measure::Known(known) = &**measure
+        let known = self.known.get_or_insert_with(|| Box::new(Observed::new(begin())));
+        let measure = &mut known.measure;
+        if let Measure::Known(known) = measure
             && known.is_forgotten(now)
         {
-            **measure = begin();
+            *measure = begin();
         }
-        let budget = match &mut **measure {
+        let budget = match measure {
             Measure::Known(known) => known.look(&look, self.budget.unwrap_or_default()),
             Measure::Probing(probe) => match probe.look(&look) {
                 Probed::Budget(budget) => budget,
                 Probed::Rate(rate) => {
                     let mut known = Known::new(rate, &look);
                     let budget = known.look(&look, 0);
-                    **measure = Measure::Known(known);
+                    *measure = Measure::Known(known);
                     budget
                 }
             },
@@ -215,11 +224,32 @@ impl Flow {
 
     /// For how long it may be normal that nothing more is acknowledged.
     fn quiet(&self) -> Duration {
-        match self.measure.as_deref() {
+        match self.measure() {
             Some(Measure::Known(known)) => known.quiet(),
             Some(Measure::Probing(probe)) => probe.quiet(),
             None => Duration::ZERO,
         }
+    }
+}
+
+impl Observed {
+    fn new(measure: Measure) -> Observed {
+        Observed {
+            measure,
+            left: 0,
+            beyond: 0,
+            beyond_from: 0,
+        }
+    }
+
+    /// Notes that the link took so many bytes behind those that it had.
+    fn wrote(&mut self, written: u64, bytes: usize) {
+        let within = bytes.min(self.left);
+        self.left -= within;
+        if within < bytes && self.beyond == 0 {
+            self.beyond_from = written + within as u64;
+        }
+        self.beyond += bytes - within;
     }
 }
 

@@ -299,7 +299,7 @@ fn a_peer_that_talks_little_keeps_nothing() {
     flow.room(|| Some(link));
     flow.wrote(900);
     flow.rest();
-    assert!(flow.measure.is_none());
+    assert!(flow.measure().is_none());
 }
 
 #[test]
@@ -332,7 +332,7 @@ fn trace() {
     for step in 0..20 {
         let before = link.acknowledged;
         let longest = link.saturate(100 * MS);
-        let measure = match link.flow.measure.as_deref() {
+        let measure = match link.flow.measure() {
             Some(Measure::Known(known)) => format!("{known:?}"),
             other => format!("{other:?}"),
         };
