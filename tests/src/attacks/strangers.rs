@@ -37,7 +37,9 @@ pub(super) async fn flood(address: SocketAddr, frame: [u8; 6]) -> u16 {
 /// Asks so often on one connection without waiting for answers; gives the status of each that comes.
 pub(super) async fn ask_much(address: SocketAddr, times: usize) -> Vec<u16> {
     let mut asking = Asking::connect(address).await;
-    asking.send(request("GET /nothing", &["Host: hub"], b"").repeat(times)).await;
+    asking
+        .send(request("GET /nothing", &["Host: hub"], b"").repeat(times))
+        .await;
     let mut statuses = Vec::new();
     while statuses.len() < times
         && let Some(answer) = asking.answer().await
