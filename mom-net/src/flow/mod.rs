@@ -109,7 +109,6 @@ impl Flow {
         let Some(known) = self.known.as_deref_mut() else {
             return usize::MAX;
         };
-        known.left = room;
         if self.acknowledged >= known.beyond_from {
             known.beyond = 0;
         }
@@ -127,6 +126,14 @@ impl Flow {
     }
 
     fn room_at(&mut self, look: impl FnOnce() -> Option<TcpState>, now: impl FnOnce() -> Instant) -> usize {
+        let room = self.room_by(look, now);
+        if let Some(known) = self.known.as_deref_mut() {
+            known.left = room;
+        }
+        room
+    }
+
+    fn room_by(&mut self, look: impl FnOnce() -> Option<TcpState>, now: impl FnOnce() -> Instant) -> usize {
         if self.blind {
             return usize::MAX;
         }
@@ -174,12 +181,14 @@ impl Flow {
 
     /// Nothing waits any more, so the time from now on says nothing about the link.
     pub fn rest(&mut self) {
-        match self.known.as_deref_mut().map(|known| &mut known.measure) {
-            Some(Measure::Known(known)) => known.rest(self.written),
+        let Some(known) = self.known.as_deref_mut() else {
+            return;
+        };
+        match &mut known.measure {
+            Measure::Known(known) => known.rest(self.written),
             // The budget stays, so that who talks little is not looked at each time.
-            Some(Measure::Probing(probe)) if probe.is_new() => self.known = None,
-            Some(Measure::Probing(probe)) => probe.rest(),
-            None => {}
+            Measure::Probing(probe) if probe.is_new() && known.beyond == 0 => self.known = None,
+            Measure::Probing(probe) => probe.rest(),
         }
     }
 

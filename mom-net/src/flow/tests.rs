@@ -223,6 +223,28 @@ fn stops_are_under_way_up_to_a_bound() {
     assert!(longest > 60 * MS && longest < 150 * MS, "{longest:?}");
 }
 
+/// Also where there is nothing else to say, and the link rests after each.
+#[test]
+fn stops_alone_are_bounded_on_a_link_that_takes_nothing() {
+    let mut flow = Flow::default();
+    let link = TcpState {
+        acknowledged: 0,
+        segment: 1448,
+        window: 10,
+        pace: u64::MAX,
+        least_round_trip: 1000,
+    };
+    let now = Instant::now();
+    for _ in 0..1000 {
+        let room = flow.room_at(|| Some(link), || now);
+        if flow.stops(room) > 0 {
+            flow.wrote(300);
+            flow.rest();
+        }
+    }
+    assert!((7000..8000).contains(&flow.written()), "{}", flow.written());
+}
+
 #[test]
 fn after_a_pause_it_begins_as_gently() {
     for pause in [100, 1000, 15_000] {
