@@ -36,8 +36,9 @@ impl Told {
     /// The time after which one more is told, µs.
     fn each(self) -> Micros {
         match self {
-            Told::Owner(_) => 50_000,
-            Told::Presence(_) | Told::Unstop(_) => 250_000,
+            // Links of one user's robots that are lost and come back are told by it, too.
+            Told::Owner(_) | Told::Presence(_) => 50_000,
+            Told::Unstop(_) => 250_000,
             // What people or agents answer.
             Told::Wish(_) => 1_000_000,
         }
@@ -296,9 +297,9 @@ mod tests {
         let (owner, presence) = (Told::Owner(ContextNumber(1)), Told::Presence(ContextNumber(1)));
         let terms = |at_once, each| Terms { at_once, each };
         assert_eq!(owner.terms(None), terms(100, 50_000));
-        assert_eq!(presence.terms(None), terms(100, 250_000));
+        assert_eq!(presence.terms(None), terms(100, 50_000));
         assert_eq!(owner.terms(Some(60_000)), terms(37, 106_666));
-        assert_eq!(presence.terms(Some(60_000)), terms(100, 250_000));
+        assert_eq!(presence.terms(Some(60_000)), terms(100, 50_000));
         assert_eq!(owner.terms(Some(6000)), terms(4, 1_066_666));
         assert_eq!(presence.terms(Some(6000)), terms(15, 266_666));
         assert_eq!(owner.terms(Some(u32::MAX)), owner.terms(None));
