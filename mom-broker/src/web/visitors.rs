@@ -79,8 +79,12 @@ impl Visitors {
             used: Mutex::new(Instant::now()),
             guest_from,
         });
-        let one_too_many = guest_from.and_then(|from| self.take_oldest_guest(from));
-        self.open.lock().insert(credential, Arc::clone(&visitor));
+        let one_too_many = {
+            let mut open = self.open.lock();
+            let oldest = guest_from.and_then(|from| take_oldest_guest(&mut open, from));
+            open.insert(credential, Arc::clone(&visitor));
+            oldest
+        };
         if let Some(oldest) = one_too_many {
             tokio::spawn(oldest.client.clone().close());
         }
@@ -102,20 +106,17 @@ impl Visitors {
     }
 }
 
-impl Visitors {
-    /// Takes out the guest from an address that was not here for longest, if there are as many as may.
-    fn take_oldest_guest(&self, from: IpAddr) -> Option<Arc<Visitor>> {
-        let mut open = self.open.lock();
-        let guests = open
-            .iter()
-            .filter(|(_, visitor)| visitor.guest_from == Some(from));
-        let guests = guests.map(|(credential, visitor)| (*visitor.used.lock(), *credential));
-        let guests: Vec<(Instant, Credential)> = guests.collect();
-        let oldest = guests.iter().min_by_key(|(used, _)| *used)?;
-        match guests.len() >= GUESTS {
-            true => open.remove(&oldest.1),
-            false => None,
-        }
+/// Takes out the guest from an address that was not here for longest, if there are as many as may.
+fn take_oldest_guest(open: &mut HashMap<Credential, Arc<Visitor>>, from: IpAddr) -> Option<Arc<Visitor>> {
+    let guests = open
+        .iter()
+        .filter(|(_, visitor)| visitor.guest_from == Some(from));
+    let guests = guests.map(|(credential, visitor)| (*visitor.used.lock(), *credential));
+    let guests: Vec<(Instant, Credential)> = guests.collect();
+    let oldest = guests.iter().min_by_key(|(used, _)| *used)?;
+    match guests.len() >= GUESTS {
+        true => open.remove(&oldest.1),
+        false => None,
     }
 }
 

@@ -118,6 +118,12 @@ impl Hub {
                 member.facts.name
             );
             assert_eq!(
+                peer.moves_in.contains(&context.number),
+                member.device,
+                "{} knows whether it is a device in {path}",
+                peer.facts.name
+            );
+            assert_eq!(
                 peer.facts, member.facts,
                 "facts of a member of {path} are of today"
             );

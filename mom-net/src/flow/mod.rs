@@ -26,8 +26,8 @@ const AHEAD: Duration = Duration::from_micros(2200);
 /// Segments that are always allowed: with fewer a receiver delays its acknowledgement.
 const LEAST_SEGMENTS: u64 = 2;
 
-/// Bytes of stops that may be under way beyond what fills the network: some ten. Who says many more delays only his own, or the kernel
-/// would hold a long queue of them that nothing can overtake or replace.
+/// Bytes of stops that may be under way beyond what fills the network: ten or more. Others wait in the queue, where a newer one takes their
+/// place; in the kernel they would be a long queue that nothing can overtake.
 const STOPS: usize = 4096;
 
 /// Bytes to which the budget of a link that is faster than it can be looked at may grow.
@@ -89,7 +89,7 @@ pub struct Allowance {
     pub bytes: usize,
     /// At once, so that something urgent can go in between.
     pub piece: usize,
-    /// What is left for stops where nothing else may leave: one more than that may wait too, and be replaced by a newer one.
+    /// Of stops, which may leave also where nothing else may.
     pub stops: usize,
 }
 

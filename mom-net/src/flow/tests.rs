@@ -228,11 +228,9 @@ fn stops_are_under_way_up_to_a_bound() {
 fn stops_alone_are_bounded_on_a_link_that_takes_nothing() {
     let mut flow = Flow::default();
     let link = TcpState {
-        acknowledged: 0,
         segment: 1448,
         window: 10,
-        pace: u64::MAX,
-        least_round_trip: 1000,
+        ..TcpState::default()
     };
     let now = Instant::now();
     for _ in 0..1000 {
