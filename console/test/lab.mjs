@@ -265,6 +265,13 @@ export async function findings(page) {
   return violations.flatMap(({ id, help, nodes }) => nodes.map(({ target, failureSummary }) => `${id} (${help}) at ${target.flat().join(" >> ")}: ${failureSummary}`));
 }
 
+/** Waits until the frame shows that so many channels are stopped: a device may say that it stands before the hub has told of the last channel. */
+export const stands = (page, channels) =>
+  until(page, async () => {
+    const groups = await page.locator("mom-stopped li .mono").evaluateAll((all) => all.map(({ title }) => title.split("\n").length));
+    return groups.reduce((sum, paths) => sum + paths, 0) === channels;
+  });
+
 /** Lets go of what is stopped, as its user does: asks, reads what it is, and says so. */
 export async function letGo(page) {
   await page.locator("mom-stop").getByRole("button", { name: "Let go" }).click();

@@ -1,7 +1,7 @@
 // The console's frame: who logs in, what survives a reload and a lost network, and STOP.
 import assert from "node:assert/strict";
 import { after, before, beforeEach, test } from "node:test";
-import { isPreview, letGo, logIn, NETWORK, start } from "./lab.mjs";
+import { isPreview, letGo, logIn, NETWORK, stands, start } from "./lab.mjs";
 
 let lab;
 before(async () => (lab = await start()));
@@ -12,6 +12,8 @@ const token = (page) => page.locator("mom-token").first();
 /** The peer's name: that of a page which was closed is kept for a while, so the next one has a number. */
 const nameOf = async (page) => /alice(~\d+)?(?=, level 1)/.exec(await page.getByText(/alice(~\d+)?, level 1/).innerText())[0];
 const report = (page) => page.locator("mom-stop .report");
+/** The channels of the lab that alice may stop. */
+const CHANNELS = 10;
 
 test("a wrong password is refused in words, a right one lets in", async (t) => {
   const page = await lab.open("/", { t });
@@ -82,12 +84,14 @@ test("Escape stops from anywhere and Space outside of fields, and each device sa
   await report(page).getByText(/\/camera\/pan\s*camera-pan\s*stands, measured, after/).waitFor();
   const status = page.locator("mom-status");
   await status.getByText("stopped").waitFor();
+  await stands(page, CHANNELS);
   await letGo(page);
   await report(page).getByText(/arm\s*may move, after/).waitFor();
   await status.getByText("at rest").waitFor();
   await page.locator("main").focus();
   await page.keyboard.press("Space");
   await report(page).getByText(/arm\s*stands, measured, after/).waitFor();
+  await stands(page, CHANNELS);
   await letGo(page);
   await status.getByText("at rest").waitFor();
 });

@@ -70,7 +70,7 @@ impl World {
     }
 
     /// Has a count follow when it is time for one.
-    fn hold_count(&mut self, number: ContextNumber) {
+    pub(crate) fn hold_count(&mut self, number: ContextNumber) {
         if let Some(context) = self.tree.get_mut(number).filter(|context| !context.count_due) {
             context.count_due = true;
             self.timers.insert((context.next_count, Timer::Count(number)));
@@ -87,11 +87,18 @@ impl World {
     }
 
     fn push_count_as(&mut self, number: ContextNumber, name: &str, out: &mut Vec<Effect>) {
-        let next = self.now + self.settings.counts_every;
+        let counted = self.count_counts(number);
+        let wait = counted
+            .err()
+            .map_or(self.settings.counts_every, |too_often| too_often.wait);
+        let next = self.now + wait;
         let Some(context) = self.tree.get_mut(number) else {
             return;
         };
         context.next_count = next;
+        if counted.is_err() {
+            return self.hold_count(number);
+        }
         let (path, content) = (context.path.clone(), count_map(context.members.len()));
         self.push_event(name, &path, self.tree.members_of(number), content, out);
     }

@@ -10,7 +10,6 @@ use crate::content;
 use crate::token::state::Offer;
 use crate::values::millis;
 use crate::world::World;
-use crate::world::tell_pace::Told;
 use crate::{Effect, PeerId};
 
 #[derive(Deserialize)]
@@ -50,7 +49,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     }
     world.check_again(number, (Verb::Give, peer, to))?;
     // The receiver hears of each, also of those that have lapsed.
-    world.count_wish(peer, Told::Wish(to), "asks this peer")?;
+    world.count_wish(peer, to)?;
     let offer = Offer {
         by: peer,
         to,

@@ -10,7 +10,6 @@ use crate::content;
 use crate::token::handover::{AGAIN, not_again};
 use crate::values::millis;
 use crate::world::World;
-use crate::world::tell_pace::Told;
 use crate::{Audit, Effect};
 
 /// How long an invitation counts, µs.
@@ -37,7 +36,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         let text = format!("there is no peer {:?}", args.peer);
         WireError::new(Code::UNKNOWN_PEER, text).slot("content/peer")
     })?;
-    world.count_wish(request.peer, Told::Wish(peer), "asks this peer")?;
+    world.count_wish(request.peer, peer)?;
     let (now, until) = (world.now, world.after(INVITED));
     let Some(context) = world.tree.get_mut(number) else {
         return Err(world

@@ -12,7 +12,6 @@ use crate::stops::shortened;
 use crate::token::handover::ASKING;
 use crate::token::state::Asking;
 use crate::world::World;
-use crate::world::tell_pace::Told;
 
 #[derive(Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -53,7 +52,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     }
     world.check_again(number, (Verb::Request, request.peer, owner))?;
     // The owner hears of each, also of those that have lapsed.
-    world.count_wish(request.peer, Told::Wish(owner), "asks this peer")?;
+    world.count_wish(request.peer, owner)?;
     world.last_waiter += 1;
     let asking = Asking {
         peer: request.peer,

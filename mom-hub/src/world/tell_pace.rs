@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_proto::{Code, ContextNumber, Gcra, Micros, Pace, Wait, WireError};
+use mom_proto::{Code, ContextNumber, Gcra, HUB, Micros, Pace, Wait, WireError};
 
 use super::World;
 use crate::PeerId;
@@ -21,35 +21,39 @@ const MANY: usize = 64;
 
 /// What others are told of; each is counted apart, so that who uses up one, as all guests may together, has the others still.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Told {
-    /// Who comes to a context, or leaves it.
-    Presence(ContextNumber),
+pub(crate) enum What {
+    /// Who comes to a context, leaves it, or is put out of it.
+    Presence,
+    /// How many are there, where they are not named.
+    Count,
+    /// What is new in a session.
+    Made,
     /// Whose a token is.
-    Owner(ContextNumber),
+    Owner,
     /// That stops of a channel, or of all below a session, are lifted.
-    Unstop(ContextNumber),
+    Unstop,
     /// That somebody wants something of this peer: its token, that it takes one, that it comes.
-    Wish(PeerId),
+    Wish,
 }
 
-impl Told {
+impl What {
     /// The time after which one more is told, µs.
     fn each(self) -> Micros {
         match self {
             // Links of one user's robots that are lost and come back are told by it, too.
-            Told::Owner(_) | Told::Presence(_) => 50_000,
-            Told::Unstop(_) => 250_000,
+            What::Owner | What::Presence | What::Count | What::Made => 50_000,
+            What::Unstop => 250_000,
             // What people or agents answer.
-            Told::Wish(_) => 1_000_000,
+            What::Wish => 1_000_000,
         }
     }
 
     /// About how many bytes a device gets of one: a change of owner is `halt`, `released` and `grabbed`, and what nobody answers lapses.
     fn bytes(self) -> u64 {
         match self {
-            Told::Owner(_) => 800,
-            Told::Presence(_) => 200,
-            Told::Unstop(_) | Told::Wish(_) => 400,
+            What::Owner => 800,
+            What::Presence | What::Count => 200,
+            What::Unstop | What::Wish | What::Made => 400,
         }
     }
 
@@ -69,6 +73,51 @@ impl Told {
     }
 }
 
+/// Where it is told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Place {
+    In(ContextNumber),
+    /// To a peer: who is asked, or the slowest device that hears of it, wherever it does.
+    To(PeerId),
+}
+
+/// What is told, where, and to a device that reads how much.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Told {
+    what: What,
+    place: Place,
+    reads: Option<u32>,
+}
+
+impl Told {
+    fn new(what: What, place: Place, slowest: Option<Slowest>) -> Told {
+        match slowest {
+            Some(Slowest { reads, peer }) => Told {
+                what,
+                place: Place::To(peer),
+                reads: Some(reads),
+            },
+            None => Told {
+                what,
+                place,
+                reads: None,
+            },
+        }
+    }
+
+    fn terms(self) -> Terms {
+        self.what.terms(self.reads)
+    }
+}
+
+/// The slowest of the devices of which it is known how fast they read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Slowest {
+    /// Bytes in a second.
+    reads: u32,
+    peer: PeerId,
+}
+
 /// So many at once, and one each so many µs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Terms {
@@ -86,29 +135,24 @@ impl Terms {
 #[derive(Debug, Default)]
 pub(crate) struct TellPace {
     /// When each is paid back.
-    of: BTreeMap<(Told, Arc<str>), Micros>,
+    of: BTreeMap<(What, Place, Arc<str>), Micros>,
     /// Entries that were left when it was last looked through.
     left: usize,
 }
 
 impl TellPace {
-    /// Counts one; `reads` = bytes that the devices that are told read in a second, as far as known.
+    /// Counts one.
     ///
     /// # Errors
     /// It was one too many, and is not counted.
-    pub(crate) fn take(
-        &mut self,
-        told: Told,
-        user: &Arc<str>,
-        reads: Option<u32>,
-        now: Micros,
-    ) -> Result<(), TooOften> {
+    fn take(&mut self, told: Told, user: &Arc<str>, now: Micros) -> Result<(), TooOften> {
         if self.of.len() >= MANY.max(2 * self.left) {
             self.of.retain(|_, paid_at| *paid_at > now);
             self.left = self.of.len();
         }
-        let terms = told.terms(reads);
-        let paid_at = self.of.entry((told, Arc::clone(user))).or_default();
+        let terms = told.terms();
+        let key = (told.what, told.place, Arc::clone(user));
+        let paid_at = self.of.entry(key).or_default();
         let mut used = Gcra::paid_at(*paid_at);
         used.take(&terms.pace(), 1, now)
             .map_err(|wait| TooOften::new(terms, wait))?;
@@ -116,16 +160,10 @@ impl TellPace {
         Ok(())
     }
 
-    /// Whether a user has had it told lately.
-    fn owes(&self, told: Told, user: &Arc<str>, now: Micros) -> bool {
-        let paid_at = self.of.get(&(told, Arc::clone(user)));
-        paid_at.is_some_and(|paid_at| *paid_at > now)
-    }
-
     /// Checks that one more would not be too many.
-    fn check(&self, told: Told, user: &Arc<str>, reads: Option<u32>, now: Micros) -> Result<(), TooOften> {
-        let terms = told.terms(reads);
-        let paid_at = self.of.get(&(told, Arc::clone(user)));
+    fn check(&self, told: Told, user: &Arc<str>, now: Micros) -> Result<(), TooOften> {
+        let terms = told.terms();
+        let paid_at = self.of.get(&(told.what, told.place, Arc::clone(user)));
         let used = Gcra::paid_at(paid_at.copied().unwrap_or_default());
         used.peek(&terms.pace(), 1, now)
             .map_err(|wait| TooOften::new(terms, wait))
@@ -160,13 +198,6 @@ impl TooOften {
     }
 }
 
-/// Those for whom it matters that they hear other things, too, among who is told of a token.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Hearers {
-    /// Bytes that the slowest of the devices among them reads in a second, as far as known.
-    reads: Option<u32>,
-}
-
 impl World {
     /// Checks that a user does not have devices and owners told of a token all the time: each change is told before all commands. What
     /// changes nothing is not counted.
@@ -181,12 +212,12 @@ impl World {
     /// The same, for a grab that waits for its turn anyway.
     pub(crate) fn check_turn(&self, peer: PeerId, token: ContextNumber) -> Result<(), TooOften> {
         let user = self.user_of(peer).filter(|_| self.owner_of(token) != Some(peer));
-        let told = Told::Owner(token);
-        let Some(user) = user.filter(|user| self.tell_pace.owes(told, user, self.now)) else {
+        // Nobody has had anybody told of anything lately.
+        let Some(user) = user.filter(|_| !self.tell_pace.of.is_empty()) else {
             return Ok(());
         };
         match self.hearers(token, &user) {
-            Some(Hearers { reads }) => self.tell_pace.check(told, &user, reads, self.now),
+            Some(told) => self.tell_pace.check(told, &user, self.now),
             None => Ok(()),
         }
     }
@@ -194,35 +225,72 @@ impl World {
     /// Counts that a token is a peer's from now on.
     pub(crate) fn count_change(&mut self, peer: PeerId, token: ContextNumber) {
         if let Some(user) = self.user_of(peer) {
-            let hearers = self.hearers(token, &user);
-            let reads = hearers.and_then(|hearers| hearers.reads);
+            let told = self.hearers(token, &user);
+            let told = told.unwrap_or(Told::new(What::Owner, Place::In(token), None));
             // One that is not refused any more is too many for the next.
-            let _ = self.tell_pace.take(Told::Owner(token), &user, reads, self.now);
+            let _ = self.tell_pace.take(told, &user, self.now);
         }
     }
 
     /// Whether it is told by name that a user comes to a context, or leaves it.
     pub(crate) fn count_presence(&mut self, number: ContextNumber, user: &Arc<str>) -> Result<(), TooOften> {
-        let told = Told::Presence(number);
-        let owes = self.tell_pace.owes(told, user, self.now);
-        let reads = if owes { self.slowest_in(number) } else { None };
-        self.tell_pace.take(told, user, reads, self.now)
+        self.count_in(What::Presence, number, user)
     }
 
-    /// Counts that a user wants something, of which others are told.
+    /// Whether it may be told now how many are in a context: to a slow device not of many contexts at once.
+    pub(crate) fn count_counts(&mut self, number: ContextNumber) -> Result<(), TooOften> {
+        match self.slowest_in(number) {
+            Some(_) => self.count_in(What::Count, number, &HUB.into()),
+            None => Ok(()),
+        }
+    }
+
+    /// Counts that a user has something told in a context.
     ///
     /// # Errors
     /// It was one too many.
-    pub(crate) fn count_wish(&mut self, peer: PeerId, told: Told, what: &str) -> Result<(), WireError> {
+    pub(crate) fn count_told(
+        &mut self,
+        peer: PeerId,
+        (what, number): (What, ContextNumber),
+        words: &str,
+    ) -> Result<(), WireError> {
         let Some(user) = self.user_of(peer) else {
             return Ok(());
         };
-        let reads = match told {
-            Told::Wish(to) => self.reads(to),
-            Told::Presence(number) | Told::Owner(number) | Told::Unstop(number) => self.slowest_in(number),
+        let counted = self.count_in(what, number, &user);
+        counted.map_err(|too_often| too_often.refusal(&user, words))
+    }
+
+    /// Counts that a user makes something in a session, where slow devices of others hear of it.
+    ///
+    /// # Errors
+    /// It was one too many.
+    pub(crate) fn count_made(&mut self, peer: PeerId, session: ContextNumber) -> Result<(), WireError> {
+        let user = self.user_of(peer);
+        let hears = |peer: &PeerId| self.user_of(*peer) != user;
+        match self.slowest_of(self.members(session).filter(|peer| hears(peer))) {
+            Some(_) => self.count_told(peer, (What::Made, session), "makes something here"),
+            None => Ok(()),
+        }
+    }
+
+    /// Counts that a user wants something of a peer.
+    ///
+    /// # Errors
+    /// It was one too many.
+    pub(crate) fn count_wish(&mut self, peer: PeerId, to: PeerId) -> Result<(), WireError> {
+        let Some(user) = self.user_of(peer) else {
+            return Ok(());
         };
-        let taken = self.tell_pace.take(told, &user, reads, self.now);
-        taken.map_err(|too_often| too_often.refusal(&user, what))
+        let told = Told::new(What::Wish, Place::To(to), self.slowest_of([to]));
+        let taken = self.tell_pace.take(told, &user, self.now);
+        taken.map_err(|too_often| too_often.refusal(&user, "asks this peer"))
+    }
+
+    fn count_in(&mut self, what: What, number: ContextNumber, user: &Arc<str>) -> Result<(), TooOften> {
+        let told = Told::new(what, Place::In(number), self.slowest_in(number));
+        self.tell_pace.take(told, user, self.now)
     }
 
     fn user_of(&self, peer: PeerId) -> Option<Arc<str>> {
@@ -230,33 +298,40 @@ impl World {
         Some(Arc::clone(&known.facts.user))
     }
 
-    /// The devices and owners of other users that are told whose a token is; none if there are none.
-    fn hearers(&self, token: ContextNumber, user: &Arc<str>) -> Option<Hearers> {
+    /// That devices, or owners of other users, are told whose a token is; none if there are none of these.
+    fn hearers(&self, token: ContextNumber, user: &Arc<str>) -> Option<Told> {
         let guarded = self.token(token).into_iter().flat_map(|token| &token.guarded);
         let places = guarded.copied().chain([token]);
-        let members = places.filter_map(|place| self.tree.get(place));
-        let peers = members
-            .flat_map(|place| place.members.keys())
-            .filter_map(|peer| self.peers.get(*peer));
-        let matter = peers
-            .filter(|peer| !peer.moves_in.is_empty() || (!peer.owns.is_empty() && peer.facts.user != *user));
-        let slowest = matter.map(|peer| self.reads_of(peer));
-        let slowest = slowest.reduce(|one, other| one.into_iter().chain(other).min());
-        slowest.map(|reads| Hearers { reads })
+        let peers = places.flat_map(|place| self.members(place));
+        let matters = |peer: &PeerId| {
+            self.peers.get(*peer).is_some_and(|peer| {
+                !peer.moves_in.is_empty() || (!peer.owns.is_empty() && peer.facts.user != *user)
+            })
+        };
+        let matter: Vec<PeerId> = peers.filter(matters).collect();
+        let slowest = self.slowest_of(matter.iter().copied());
+        (!matter.is_empty()).then(|| Told::new(What::Owner, Place::In(token), slowest))
     }
 
-    /// Bytes that the slowest device of a context's members reads in a second, as far as known.
-    fn slowest_in(&self, number: ContextNumber) -> Option<u32> {
-        let members = self
-            .tree
-            .get(number)
-            .into_iter()
-            .flat_map(|place| place.members.keys());
-        members.filter_map(|peer| self.reads(*peer)).min()
+    fn members(&self, number: ContextNumber) -> impl Iterator<Item = PeerId> {
+        let place = self.tree.get(number);
+        place.into_iter().flat_map(|place| place.members.keys().copied())
     }
 
-    fn reads(&self, peer: PeerId) -> Option<u32> {
-        self.reads_of(self.peers.get(peer)?)
+    fn slowest_in(&self, number: ContextNumber) -> Option<Slowest> {
+        // Most hubs know of no device how fast it reads.
+        self.tree
+            .is_paced
+            .then(|| self.slowest_of(self.members(number)))
+            .flatten()
+    }
+
+    fn slowest_of(&self, peers: impl IntoIterator<Item = PeerId>) -> Option<Slowest> {
+        let one = |peer| {
+            let reads = self.reads_of(self.peers.get(peer)?)?;
+            Some(Slowest { reads, peer })
+        };
+        peers.into_iter().filter_map(one).min()
     }
 
     /// Bytes that a peer reads in a second, by the channels in which it is a device.
@@ -270,23 +345,27 @@ impl World {
 mod tests {
     use super::*;
 
+    fn told(what: What, reads: Option<u32>) -> Told {
+        Told {
+            what,
+            place: Place::In(ContextNumber(1)),
+            reads,
+        }
+    }
+
     #[test]
     fn each_user_has_his_own_and_nothing_is_kept_of_who_rests() {
         let mut pace = TellPace::default();
-        let (here, there) = (Told::Owner(ContextNumber(1)), Told::Unstop(ContextNumber(1)));
+        let (here, there) = (told(What::Owner, None), told(What::Presence, None));
         let [alice, bob]: [Arc<str>; 2] = ["alice".into(), "bob".into()];
-        let mut taken = |context, user, now| {
-            (0..200)
-                .filter(|_| pace.take(context, user, None, now).is_ok())
-                .count()
-        };
+        let mut taken = |told, user, now| (0..200).filter(|_| pace.take(told, user, now).is_ok()).count();
         assert_eq!(taken(here, &alice, 1), 100);
         assert_eq!(taken(here, &bob, 1), 100);
         assert_eq!(taken(there, &alice, 1), 100);
         assert_eq!(taken(here, &alice, 1_000_001), 20);
         for user in 0..1000_u32 {
-            let now = 60_000_000 + u64::from(user) * here.each();
-            assert_eq!(pace.take(here, &user.to_string().into(), None, now), Ok(()));
+            let now = 60_000_000 + u64::from(user) * here.what.each();
+            assert_eq!(pace.take(here, &user.to_string().into(), now), Ok(()));
         }
         assert!(pace.of.len() <= MANY, "{}", pace.of.len());
     }
@@ -294,14 +373,13 @@ mod tests {
     /// An eighth of what a device reads, and half a second's worth at once.
     #[test]
     fn a_slow_device_hears_less_of_others() {
-        let (owner, presence) = (Told::Owner(ContextNumber(1)), Told::Presence(ContextNumber(1)));
         let terms = |at_once, each| Terms { at_once, each };
-        assert_eq!(owner.terms(None), terms(100, 50_000));
-        assert_eq!(presence.terms(None), terms(100, 50_000));
-        assert_eq!(owner.terms(Some(60_000)), terms(37, 106_666));
-        assert_eq!(presence.terms(Some(60_000)), terms(100, 50_000));
-        assert_eq!(owner.terms(Some(6000)), terms(4, 1_066_666));
-        assert_eq!(presence.terms(Some(6000)), terms(15, 266_666));
-        assert_eq!(owner.terms(Some(u32::MAX)), owner.terms(None));
+        assert_eq!(What::Owner.terms(None), terms(100, 50_000));
+        assert_eq!(What::Presence.terms(None), terms(100, 50_000));
+        assert_eq!(What::Owner.terms(Some(60_000)), terms(37, 106_666));
+        assert_eq!(What::Presence.terms(Some(60_000)), terms(100, 50_000));
+        assert_eq!(What::Owner.terms(Some(6000)), terms(4, 1_066_666));
+        assert_eq!(What::Presence.terms(Some(6000)), terms(15, 266_666));
+        assert_eq!(What::Owner.terms(Some(u32::MAX)), What::Owner.terms(None));
     }
 }

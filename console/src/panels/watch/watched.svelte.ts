@@ -129,7 +129,7 @@ export class Watched {
       const count = number(what, "count") ?? 1;
       const receiver = text(what, "receiver");
       // Of what this page did not get.
-      if ((reason === "rate" || reason === "replaced") && (receiver === undefined || receiver === this.hub.me?.peer)) return this.#left.add(arrived, count);
+      if ((reason === "rate" || reason === "replaced") && (receiver === undefined || receiver === this.hub.me?.peer) && number(what, "receivers") === undefined) return this.#left.add(arrived, count);
       return this.#add({ ...this.#blank("event", type, ""), line: texts.watch.dropped(count, reason), arrived });
     }
     if (type === "lagged") {

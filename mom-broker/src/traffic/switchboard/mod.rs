@@ -1,6 +1,5 @@
 //! All that connections share: the hub, the channels, the outboxes, and how effects are carried out.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use dashmap::DashMap;
@@ -19,9 +18,10 @@ use crate::traffic::channel::{Channel, LARGEST_STOP, Sent, by_hub, control, hub_
 use crate::traffic::encodings::{Bounds, Encoder, Encodings};
 use crate::traffic::inquiries::Inquiries;
 use crate::traffic::memory::Memory;
-use crate::traffic::outbox::{Dropped, Outbox, Packet, Paths};
+use crate::traffic::outbox::{Outbox, Packet, Paths};
 use crate::traffic::statistics::Counts;
 
+mod drops;
 mod effects;
 mod relief;
 mod sending;
@@ -180,7 +180,7 @@ impl Switchboard {
     pub(crate) fn remove_outbox(&self, outbox: &Outbox) {
         outbox.abandon();
         let mut touched = Touched::new();
-        self.report_drops_of(outbox, &mut touched);
+        self.report_drops_of([outbox], &mut touched);
         flush(&mut touched);
         self.outboxes.remove(&outbox.peer);
         self.tap.audit.left(outbox.peer);
@@ -198,67 +198,6 @@ impl Switchboard {
 
     pub(crate) fn outbox(&self, peer: PeerId) -> Option<Arc<Outbox>> {
         self.outboxes.get(&peer).map(|outbox| Arc::clone(&outbox))
-    }
-
-    /// Tells receivers and senders what was dropped on its way (design §5, §7).
-    pub(crate) fn report_drops(&self, touched: &mut Touched) {
-        let outboxes: Vec<Arc<Outbox>> = self.outboxes.iter().map(|outbox| Arc::clone(&outbox)).collect();
-        for outbox in outboxes {
-            self.report_drops_of(&outbox, touched);
-        }
-    }
-
-    fn report_drops_of(&self, outbox: &Outbox, touched: &mut Touched) {
-        let drops = outbox.take_drops();
-        if drops.is_empty() {
-            return;
-        }
-        // A device hears of all senders together: what is said of each goes before its owner's commands.
-        let together = outbox.is_device();
-        let mut of_all: BTreeMap<Dropped, (Path, u64)> = BTreeMap::new();
-        for (dropped, count) in drops {
-            let Some(channel) = self.channel(dropped.context) else {
-                continue;
-            };
-            let path = channel.note_dropped(outbox.peer, dropped, count);
-            let sender = dropped.sender;
-            let mut told = vec![sender];
-            match together && sender != outbox.peer {
-                true => {
-                    let all = Dropped {
-                        sender: outbox.peer,
-                        ..dropped
-                    };
-                    of_all.entry(all).or_insert((path.clone(), 0)).1 += count;
-                }
-                false if sender != outbox.peer => told.push(outbox.peer),
-                false => {}
-            }
-            let name = self.outbox(sender).map(|sender| sender.name());
-            let content = drop_map(dropped, count, outbox).with("sender", &*name.unwrap_or_default());
-            self.tell_of_drops(&told, dropped.context, path, content, touched);
-        }
-        for (dropped, (path, count)) in of_all {
-            let content = drop_map(dropped, count, outbox);
-            self.tell_of_drops(&[outbox.peer], dropped.context, path, content, touched);
-        }
-    }
-
-    fn tell_of_drops(
-        &self,
-        told: &[PeerId],
-        context: ContextNumber,
-        path: Path,
-        content: Map,
-        touched: &mut Touched,
-    ) {
-        let mut parcel = Parcel::new(Family::Event, event::DROPPED)
-            .context(path)
-            .content(content);
-        parcel.number = Some(context);
-        for peer in told {
-            self.tell(*peer, parcel.clone(), touched);
-        }
     }
 
     fn channel_of(&self, parcel: &Parcel) -> Option<Arc<Channel>> {
@@ -433,13 +372,4 @@ fn shutdown() -> WireError {
 /// Flushes every outbox of a turn.
 pub(crate) fn flush(touched: &mut Touched) {
     touched.drain(..).for_each(|outbox| outbox.flush());
-}
-
-/// What is said of messages that were dropped.
-fn drop_map(dropped: Dropped, count: u64, receiver: &Outbox) -> Map {
-    Map::new()
-        .with("reason", dropped.reason.word())
-        .with("delivery", dropped.class.word())
-        .with("count", i64::try_from(count).unwrap_or(i64::MAX))
-        .with("receiver", &*receiver.name())
 }

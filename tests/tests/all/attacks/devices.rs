@@ -386,3 +386,41 @@ async fn nobody_fills_what_an_owner_and_a_device_hear_of_others() {
     );
     broker.stop().await;
 }
+
+/// Who has lost its link gets no commands, and their owner hears of that; not of each of many.
+#[tokio::test]
+async fn nobody_has_an_owner_hear_of_each_of_many_that_are_gone() {
+    let (broker, address) = start_with(|config| config.limits.outbox = 256 << 10).await;
+    let mut robot = robot(address).await;
+    let mut operator = member(address, "alice").await;
+    let fence = own(&mut operator).await;
+    for _ in 0..100 {
+        let mut bob = Raw::connect_small(address, Form::Binary).await;
+        let content = Map::new()
+            .with("name", "bob")
+            .with("password", "bob")
+            .with("link", true);
+        let login = Parcel::new(Family::Login, "login").content(content);
+        let welcome = bob.ask(login).await.expect("he may");
+        assert!(welcome.value().get("link").is_some(), "{welcome:?}");
+        bob.join(&["/robot", ARM]).await;
+    }
+    let mut told = (0, 0, 0);
+    for number in 0..20 {
+        operator.ask(command(fence, number)).await.expect("it is taken");
+        robot.next_of(Family::Message, "command").await;
+        while let Some(Some(parcel)) = operator.next_within(Duration::from_millis(300)).await {
+            if parcel.is(Family::Event, "dropped") {
+                let content = parcel.value();
+                told.0 += 1;
+                told.1 += content.get("receivers").and_then(Value::as_int).unwrap_or(1);
+                told.2 += content.get("count").and_then(Value::as_int).unwrap_or_default();
+            }
+        }
+    }
+    let (events, receivers, count) = told;
+    assert!(receivers >= 1500 && count >= 1500, "{told:?}");
+    assert!(events <= 60, "{events} events of {receivers} receivers");
+    broker.check();
+    broker.stop().await;
+}
