@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use super::Item;
 use super::piece::Entry;
+use super::{Item, Lane};
 
 /// The number of what is sent again.
 pub(super) const AGAIN: u64 = u64::MAX - 1;
@@ -59,6 +59,20 @@ impl<I: Item> Again<I> {
 
     pub(super) fn iter_mut(&mut self) -> impl Iterator<Item = &mut Entry<I>> {
         self.0.iter_mut().flat_map(|entries| entries.iter_mut())
+    }
+
+    /// The first of a lane.
+    pub(super) fn first_of(&self, lane: Lane) -> Option<&Entry<I>> {
+        self.iter().find(|entry| entry.item.lane() == lane)
+    }
+
+    /// Takes out the first of a lane.
+    pub(super) fn take_first_of(&mut self, lane: Lane) -> Option<Entry<I>> {
+        let entries = self.0.as_mut()?;
+        let at = entries.iter().position(|entry| entry.item.lane() == lane)?;
+        let entry = entries.remove(at);
+        self.shrink();
+        entry
     }
 
     /// Takes out this item.

@@ -24,7 +24,7 @@ pub struct Ledger<I> {
     limit: usize,
     /// The place of the last parcel that had to be kept, and was not for want of room.
     forgotten: u64,
-    /// The next parcel does not count: it tells the other side of the link.
+    /// The next parcel that is no stop does not count: it tells the other side of the link.
     skips: bool,
     /// How many parcels of the run that the link is taking are counted already.
     part: u64,
@@ -137,23 +137,29 @@ impl<I: Item> Ledger<I> {
         if count == 0 {
             return;
         }
-        if std::mem::take(&mut self.skips) {
+        // A stop may overtake the parcel that tells the other side of the link; that side counts from behind it, too.
+        if self.skips {
+            self.skips = item.lane() == Lane::Stop;
             return;
         }
         self.sent += count;
         if is_sent_once(&**item) && !item.is_awaited() {
             return;
         }
+        // Of a run its part.
+        let parcels = u64::from(item.count()).max(1);
+        let size = item.charge(form) * to_usize(count) / to_usize(parcels);
+        self.bytes += size;
+        // Only what has left without anything between, kept or not, is one entry: its places are those up to the last.
         if let Some(before) = self.kept.back_mut()
-            && item.count() > 1
+            && before.last + count == self.sent
             && Arc::ptr_eq(&before.item, item)
         {
             before.count += count;
             before.last = self.sent;
+            before.size += size;
             return;
         }
-        let size = item.charge(form);
-        self.bytes += size;
         self.kept.push_back(Kept {
             item: Arc::clone(item),
             offset,
@@ -239,6 +245,10 @@ impl<I: Item> Ledger<I> {
         self.bytes = 0;
         Ok((Rewound::Dropped(dropped), std::mem::take(&mut self.kept)))
     }
+}
+
+fn to_usize(count: u64) -> usize {
+    usize::try_from(count).unwrap_or(usize::MAX)
 }
 
 /// Whether it is not sent again: only messages may be dropped, and no stop.

@@ -208,8 +208,10 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
             self.last = Some(item);
             return;
         }
+        // What is left of it was put back before.
         if !last {
             self.open.retain(|open| !Arc::ptr_eq(&open.item, &item));
+            self.again.remove(&item);
         }
         let entry = Entry {
             item,
@@ -297,13 +299,24 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         }
     }
 
-    /// What is sent again and goes next, taken out if it is ready; none where something else goes next. Only what says that it has
-    /// ended holds back control, which waits behind no data else.
+    /// What is sent again and goes next, taken out if it is ready; none where something else goes next. Where nothing says that it has
+    /// ended, control waits behind no data, and stays in its order.
     fn next_again(&mut self) -> Option<Next<Entry<I>, I>> {
         let begun = self.open.iter().position(|open| open.number == AGAIN);
-        let overtakes = |control: &Entry<I>| !control.item.waits_behind_data();
-        if !self.again.has_end() && self.control.front().is_some_and(overtakes) {
-            return None;
+        let begun_lane = begun.map(|begun| self.open[begun].item.lane());
+        if !self.again.has_end() && begun_lane != Some(Lane::Control) {
+            let overtakes = |control: &Entry<I>| !control.item.waits_behind_data();
+            match self.again.first_of(Lane::Control) {
+                Some(control) if overtakes(control) => {
+                    return match control.item.is_ready(self.form) {
+                        false => Some(Next::Unready(Arc::clone(&control.item))),
+                        true => self.again.take_first_of(Lane::Control).map(Next::Ready),
+                    };
+                }
+                None if self.control.front().is_some_and(overtakes) => return None,
+                // What is newer stays behind it.
+                _ => {}
+            }
         }
         match (begun, self.again.front()) {
             (Some(begun), _) => Some(Next::Ready(self.open.remove(begun))),
