@@ -26,7 +26,7 @@ impl Shared {
                 trace::received(&parcel);
                 let paths: Vec<Path> = parcel.context.iter().cloned().collect();
                 let is_stop = [names::STOP, names::UNSTOP].contains(&parcel.name());
-                let status = (parcel.name() == STATUS).then(|| map_of(&parcel));
+                let status = (parcel.name() == STATUS && !parcel.is_history()).then(|| map_of(&parcel));
                 let is_halt = parcel.name() == names::HALT && parcel.sender.as_deref() == Some(HUB);
                 let halt = is_halt.then(|| map_of(&parcel));
                 let event = Event::from_parcel(parcel);

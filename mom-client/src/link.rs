@@ -162,7 +162,7 @@ fn renew(shared: &Shared, now: Instant) {
 }
 
 /// The ms since the machine's start, with those in which it slept.
-fn uptime() -> u64 {
+pub(crate) fn uptime() -> u64 {
     #[cfg(target_os = "linux")]
     let time = {
         let time = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);

@@ -16,6 +16,7 @@ use crate::clock::HubClock;
 use crate::guards::Guards;
 use crate::handover::Handovers;
 use crate::info::map_of;
+use crate::link::uptime;
 use crate::login::Welcome;
 use crate::outbox::{Capacity, Dropped, Entry, Follows, Message, Outbox};
 use crate::pending::{AnswerTo, OpenRequests};
@@ -52,6 +53,9 @@ pub(crate) struct Shared {
     form: Option<Form>,
     state: Mutex<State>,
     pub(crate) ids: AtomicU64,
+    /// Of messages that a receiver answers, beyond all others and begun anywhere: no status of another connection of this name, and none
+    /// that a channel has kept of one, is the answer to it.
+    answered_ids: AtomicU64,
     capacity: Semaphore,
     urgent_capacity: Semaphore,
     /// What the hub has not read yet of what was sent, if a lost connection may be resumed. Taken after the state.
@@ -99,6 +103,19 @@ pub(crate) enum Status {
     Closed(Option<WireError>),
 }
 
+/// The message that a device answers by its status.
+const COMMAND: &str = "command";
+
+/// Any id from the upper half of those that there are, with room for all that follow.
+fn any_id() -> u64 {
+    let mut bits = [0; 8];
+    // Without randomness the time since the system began is as good: what matters is that no other connection begins there.
+    if getrandom::fill(&mut bits).is_err() {
+        bits = uptime().to_le_bytes();
+    }
+    (1 << 52) | (u64::from_le_bytes(bits) >> 13)
+}
+
 impl Shared {
     pub(crate) fn new(
         settings: Settings,
@@ -131,6 +148,7 @@ impl Shared {
             form,
             state: Mutex::new(state),
             ids,
+            answered_ids: AtomicU64::new(any_id()),
             capacity: Semaphore::new(CAPACITY as usize),
             urgent_capacity: Semaphore::new(URGENT_CAPACITY as usize),
             ledger: Mutex::new(None),
@@ -148,6 +166,16 @@ impl Shared {
 
     pub(crate) fn next_id(&self) -> u64 {
         self.ids.fetch_add(1, Ordering::Relaxed)
+    }
+
+    /// The id of a parcel that is to be sent.
+    fn id_of(&self, parcel: &Parcel) -> u64 {
+        let answered =
+            parcel.family == Family::Message && (parcel.name() == COMMAND || parcel.receipt == Some(true));
+        match answered {
+            true => self.answered_ids.fetch_add(1, Ordering::Relaxed),
+            false => self.next_id(),
+        }
     }
 
     /// Capacity for messages again.
@@ -172,7 +200,7 @@ impl Shared {
     pub(crate) async fn request(&self, mut parcel: Parcel) -> Result<Parcel, ClientError> {
         let (sender, receiver) = oneshot::channel();
         let what = describe(&parcel);
-        let id = self.next_id();
+        let id = self.id_of(&parcel);
         parcel.id = Some(id);
         let ticket = Ticket { shared: self, id };
         let asked = async {
@@ -242,7 +270,8 @@ impl Shared {
             state.check_message(&parcel, link)?;
             (Arc::clone(&state.me), link)
         };
-        let id = *parcel.id.get_or_insert_with(|| self.next_id());
+        let id = parcel.id.unwrap_or_else(|| self.id_of(&parcel));
+        parcel.id = Some(id);
         // Outside the lock: content may be large.
         let outgoing = self.prepare(&mut parcel, &me)?;
         let Ok((permit, capacity)) = self.acquire(&parcel, outgoing.len()).await else {

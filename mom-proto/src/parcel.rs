@@ -125,6 +125,11 @@ impl Parcel {
         self
     }
 
+    /// Whether a channel has kept it for who joins: it was said before, and answers nobody.
+    pub fn is_history(&self) -> bool {
+        self.extra.get(HISTORY).and_then(Value::as_bool) == Some(true)
+    }
+
     /// Whether this is `family name`.
     pub fn is(&self, family: Family, name: &str) -> bool {
         self.family == family && &*self.name == name

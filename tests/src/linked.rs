@@ -144,9 +144,28 @@ impl Link {
     /// # Panics
     /// If it asks for no proof.
     pub async fn prove(&self, raw: &mut Raw) -> Result<Value, WireError> {
+        let challenge = self.challenge(raw).await?;
+        self.answer(raw, &challenge).await
+    }
+
+    /// Asks on a connection for what is to be proven.
+    ///
+    /// # Errors
+    /// What the broker answered.
+    pub async fn challenge(&self, raw: &mut Raw) -> Result<Value, WireError> {
         let wanted = Map::new().with("link", self.id.as_str());
         let resume = Parcel::new(Family::Login, "resume").content(wanted);
-        let challenge = raw.ask(resume).await?.value();
+        Ok(raw.ask(resume).await?.value())
+    }
+
+    /// Proves the secret in answer to a challenge.
+    ///
+    /// # Errors
+    /// What the broker answered.
+    ///
+    /// # Panics
+    /// If that is no challenge, or the connection ends.
+    pub async fn answer(&self, raw: &mut Raw, challenge: &Value) -> Result<Value, WireError> {
         let hub = challenge.get("hub").and_then(Value::as_str).expect("a name");
         let nonce = challenge
             .get("nonce")

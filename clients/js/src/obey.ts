@@ -4,7 +4,7 @@ import { MomError } from "./error.js";
 import type { Event, Events, MessageEvent } from "./events.js";
 import { type Held, Latch, type Turn } from "./latch.js";
 import type { LinkState } from "./options.js";
-import type { Fields, Value } from "./value.js";
+import { fieldsOf, type Fields, type Value } from "./value.js";
 
 /** What a device moves. */
 export interface Machine {
@@ -85,7 +85,7 @@ export class Device {
     if (event.type === "lagged") this.#tellOwnStop();
     else if (event.type === "joined") this.report([event.member.peer]);
     // Without names of who joined, all are told.
-    else if (event.type === "count") this.report();
+    else if (event.type === "count" || (event.type === "dropped" && fieldsOf(event.parcel?.content)["sender"] === "hub")) this.report();
     else if (event.type === "rejoined") {
       this.report();
       this.#tellOwnStop();

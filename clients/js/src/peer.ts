@@ -48,6 +48,8 @@ export class Peer {
   #closing: MomError | null = null;
   #ending = false;
   #lastId = 0;
+  /** Of messages that a receiver answers: begun anywhere, so that no status of another connection of this name, and none that a channel has kept, is the answer to one. */
+  #lastAnswered = 2 ** 52 + Math.floor(Math.random() * 2 ** 51);
   #heard = 0;
   #pinged = 0;
   /** When the hub was last told that this peer is there. */
@@ -365,7 +367,8 @@ export class Peer {
   }
 
   /** How a device says that a command of this peer goes. */
-  #status({ content }: MessageEvent): void {
+  #status({ content, history }: MessageEvent): void {
+    if (history) return;
     const fields = fieldsOf(content);
     const ended = fields["state"] === "finished" || fields["state"] === "error";
     if (ended && fields["peer"] === this.me?.peer) this.guards.ended(int(fields, "id"));
@@ -420,10 +423,14 @@ export class Peer {
     this.pump();
   }
 
+  #idOf({ family, name, receipt }: Parcel): number {
+    return family === "message" && (name === "command" || receipt) ? ++this.#lastAnswered : ++this.#lastId;
+  }
+
   /** Sends a request and waits for its answer. */
   async request(parcel: Parcel, timeout = this.options.requestTimeout ?? 40_000, late?: (reply: Parcel) => void): Promise<Parcel> {
     this.#check();
-    const id = parcel.id ?? ++this.#lastId;
+    const id = parcel.id ?? this.#idOf(parcel);
     const sent: Parcel = { ...parcel, id, timestamp: parcel.timestamp ?? Time.now() };
     if (parcel.family === "token" && parcel.name === "release") {
       // By its fence it can be said again after a loss: it gives up this ownership, and no later one.
@@ -444,7 +451,7 @@ export class Peer {
   /** Sends a parcel without waiting for an answer; where the outbox is full, waits until it is not, but for what stops and frees devices. */
   async post(parcel: Parcel): Promise<void> {
     this.#check();
-    const id = parcel.id ?? ++this.#lastId;
+    const id = parcel.id ?? this.#idOf(parcel);
     this.#put({ ...parcel, id, timestamp: parcel.timestamp ?? Time.now() }, false);
     if (parcel.context !== undefined) this.#sentTo.set(id, parcel.context);
     for (const old of this.#sentTo.keys()) {

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use mom_hub::PeerId;
@@ -21,6 +22,8 @@ const GRACE: Duration = Duration::from_secs(30);
 #[derive(Debug, Default)]
 pub(crate) struct Links {
     known: Mutex<HashMap<SecretId, Arc<PeerLink>>>,
+    /// Challenges that were made.
+    challenges: AtomicU64,
 }
 
 /// One link. Whoever serves its peer looks here when it is woken: another connection may go on with it.
@@ -31,7 +34,15 @@ pub(super) struct PeerLink {
     pub(super) outbox: Arc<Outbox>,
     /// For how long its peer may be away.
     pub(super) grace: Duration,
-    claim: Mutex<Option<oneshot::Sender<Parked>>>,
+    claim: Mutex<Claim>,
+}
+
+/// Who wants to go on with a link.
+#[derive(Debug, Default)]
+struct Claim {
+    /// The number of the newest challenge that was answered.
+    newest: u64,
+    give: Option<oneshot::Sender<Parked>>,
 }
 
 /// A link as the connection sees it that serves its peer now.
@@ -60,7 +71,7 @@ impl Links {
             secret: Secret::random()?,
             outbox: Arc::clone(outbox),
             grace: grace.min(Duration::from_millis(most)),
-            claim: Mutex::new(None),
+            claim: Mutex::default(),
         });
         self.known.lock().insert(link.id, Arc::clone(&link));
         Some(link)
@@ -69,6 +80,11 @@ impl Links {
     /// The link has ended.
     pub(super) fn close(&self, link: &PeerLink) {
         self.known.lock().remove(&link.id);
+    }
+
+    /// The number of the next challenge.
+    pub(super) fn next_number(&self) -> u64 {
+        self.challenges.fetch_add(1, Ordering::Relaxed) + 1
     }
 
     /// The link that a challenge was about, if there is one.
@@ -97,21 +113,33 @@ impl PeerLink {
         challenge.is_answered(&self.secret, answer, now)
     }
 
-    /// Asks whoever serves the peer to give it up; one that has asked before and waits still gets nothing.
-    pub(super) fn claim(&self) -> oneshot::Receiver<Parked> {
+    /// Asks whoever serves the peer to give it up, for an answer to the challenge of this number that has read so many parcels; one that has
+    /// asked before and waits still gets nothing. None if a later one was answered, or more was read since.
+    pub(super) fn claim(&self, number: u64, read: u64) -> Option<oneshot::Receiver<Parked>> {
+        if read < self.outbox.acknowledged_count() {
+            return None;
+        }
         let (give, given) = oneshot::channel();
-        *self.claim.lock() = Some(give);
+        let mut claim = self.claim.lock();
+        if number < claim.newest {
+            return None;
+        }
+        *claim = Claim {
+            newest: number,
+            give: Some(give),
+        };
+        drop(claim);
         self.outbox.end.notify_one();
-        given
+        Some(given)
     }
 
     /// Who wants to go on with the peer.
     pub(super) fn claimed(&self) -> Option<oneshot::Sender<Parked>> {
-        self.claim.lock().take()
+        self.claim.lock().give.take()
     }
 
     pub(super) fn is_claimed(&self) -> bool {
-        self.claim.lock().is_some()
+        self.claim.lock().give.is_some()
     }
 }
 

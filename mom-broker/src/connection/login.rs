@@ -57,8 +57,8 @@ impl Connection {
         self.set_proving(true);
         let answers = parcel.name() == Verb::Answer.word();
         let step = match asked {
-            Some(Asked::Link(challenge)) if answers => {
-                let resumed = self.resume(reader, &challenge, parcel).await;
+            Some(Asked::Link(challenge, number)) if answers => {
+                let resumed = self.resume(reader, (&challenge, number), parcel).await;
                 self.set_proving(false);
                 return match resumed {
                     Ok(()) => Ok(Login::Became),

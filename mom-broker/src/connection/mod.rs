@@ -87,7 +87,8 @@ struct Connection {
 /// A challenge that is open.
 enum Asked {
     Key(Challenge),
-    Link(ResumeChallenge),
+    /// With its number: later ones have higher numbers.
+    Link(ResumeChallenge, u64),
 }
 
 /// Where a connection comes from.

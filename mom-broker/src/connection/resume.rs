@@ -27,7 +27,10 @@ impl Connection {
         }
         let challenge = self.services.logins.resume(parcel)?;
         self.challenge(challenge.content(), parcel.id, touched);
-        self.asked = Some(Box::new(Asked::Link(challenge)));
+        self.asked = Some(Box::new(Asked::Link(
+            challenge,
+            self.services.links.next_number(),
+        )));
         Ok(())
     }
 
@@ -35,7 +38,7 @@ impl Connection {
     pub(super) async fn resume(
         &mut self,
         reader: &mut Reader,
-        challenge: &ResumeChallenge,
+        (challenge, number): (&ResumeChallenge, u64),
         parcel: &Parcel,
     ) -> Result<(), WireError> {
         let answer = ResumeAnswer::read(parcel)?;
@@ -50,7 +53,9 @@ impl Connection {
                 "there is no such link, or this is no proof of its secret",
             ));
         };
-        let parked = match timeout(PATIENCE, link.claim()).await {
+        // An answer that was under way for long: its peer goes on elsewhere by now.
+        let claim = link.claim(number, answer.read).ok_or_else(old_answer)?;
+        let parked = match timeout(PATIENCE, claim).await {
             Ok(Ok(parked)) => parked,
             // Another one has come after this one.
             Ok(Err(_)) => return Err(taken_over()),
@@ -70,6 +75,10 @@ impl Connection {
                 let count = i64::try_from(lost).unwrap_or(i64::MAX);
                 parked.end(Some(error.clone()));
                 return Err(error.detail("lost", count));
+            }
+            Err(bad) if bad.read < bad.acknowledged => {
+                parked.wait();
+                return Err(old_answer());
             }
             Err(bad) => {
                 let error = bad_count(bad);
@@ -196,6 +205,10 @@ pub(super) fn taken_over() -> WireError {
 fn not_resumed(text: &str) -> WireError {
     let text = format!("{text}; log in and join anew");
     WireError::new(Code::NOT_RESUMED, text).detail("resumed", false)
+}
+
+fn old_answer() -> WireError {
+    not_resumed("the link has been resumed, or more was read, since this answer was given")
 }
 
 fn bad_count(bad: BadCount) -> WireError {

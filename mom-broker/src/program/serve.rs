@@ -7,7 +7,7 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use mom_broker::{Broker, BrokerError, Config, ConfigErrors, ReloadOn, check_address};
 use mom_journal::LogWriter;
-use tokio::signal::unix::{SignalKind, signal};
+use tokio::signal::unix::{Signal, SignalKind, signal};
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 use tracing_subscriber::{EnvFilter, Layer, Registry};
@@ -137,6 +137,13 @@ impl ServeArgs {
     ) -> Result<()> {
         let mut terminate = signal(SignalKind::terminate()).context("cannot wait for SIGTERM")?;
         let mut interrupt = signal(SignalKind::interrupt()).context("cannot wait for Ctrl-C")?;
+        let mut quit = signal(SignalKind::quit()).context("cannot wait for SIGQUIT")?;
+        // These would end it at once, without a word to those that are connected.
+        let mut users = [
+            signal(SignalKind::user_defined1()).context("cannot wait for SIGUSR1")?,
+            signal(SignalKind::user_defined2()).context("cannot wait for SIGUSR2")?,
+            signal(SignalKind::alarm()).context("cannot wait for SIGALRM")?,
+        ];
         let mut hang_up = signal(SignalKind::hangup()).context("cannot wait for SIGHUP")?;
         let mut on_change = config.reload == ReloadOn::Change;
         let mut again = false;
@@ -163,6 +170,14 @@ impl ServeArgs {
                     break;
                 }
                 _ = interrupt.recv() => break,
+                _ = quit.recv() => {
+                    tracing::info!("SIGQUIT: stopping");
+                    break;
+                }
+                name = meaningless(&mut users) => {
+                    tracing::warn!("{name} means nothing here: SIGHUP reads the configuration again, SIGTERM stops");
+                    continue;
+                }
                 _ = hang_up.recv() => tracing::info!("SIGHUP: reading the configuration again"),
                 () = changed => tracing::info!("the configuration has changed: reading it again"),
                 () = tokio::time::sleep(AGAIN), if again => {}
@@ -240,4 +255,14 @@ fn log(filter: &str, json: bool, lines: &LogWriter, others: Option<OtherLayer>) 
         .with(shown.with_filter(filter))
         .init();
     Ok(Box::new(move |filter| Ok(handle.reload(filter)?)))
+}
+
+/// Waits for one of these signals; gives its name.
+async fn meaningless(users: &mut [Signal; 3]) -> &'static str {
+    let [one, two, alarm] = users;
+    tokio::select! {
+        _ = one.recv() => "SIGUSR1",
+        _ = two.recv() => "SIGUSR2",
+        _ = alarm.recv() => "SIGALRM",
+    }
 }

@@ -186,6 +186,15 @@ pub enum Event {
 }
 
 impl Event {
+    /// Whether the hub has not told this peer of others, for want of room: who has joined or left since, or what was made, is not known.
+    pub fn is_gap(&self) -> bool {
+        let of_hub = |parcel: &Parcel| {
+            let content = map_of(parcel);
+            text(&content, "sender") == Some(mom_proto::HUB)
+        };
+        matches!(self, Event::Dropped { parcel, .. } if of_hub(parcel))
+    }
+
     /// Reads an event or message parcel; an unknown one stays a parcel.
     pub(crate) fn from_parcel(parcel: Parcel) -> Event {
         match parcel.family {

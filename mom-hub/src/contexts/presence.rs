@@ -87,18 +87,11 @@ impl World {
     }
 
     fn push_count_as(&mut self, number: ContextNumber, name: &str, out: &mut Vec<Effect>) {
-        let counted = self.count_counts(number);
-        let wait = counted
-            .err()
-            .map_or(self.settings.counts_every, |too_often| too_often.wait);
-        let next = self.now + wait;
+        let next = self.now + self.settings.counts_every;
         let Some(context) = self.tree.get_mut(number) else {
             return;
         };
         context.next_count = next;
-        if counted.is_err() {
-            return self.hold_count(number);
-        }
         let (path, content) = (context.path.clone(), count_map(context.members.len()));
         self.push_event(name, &path, self.tree.members_of(number), content, out);
     }

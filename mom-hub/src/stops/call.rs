@@ -19,7 +19,6 @@ use crate::tree::context::Context;
 use crate::values::count;
 use crate::world::steps::{Job, STEP, Sweep, TOLD, told};
 use crate::world::stops::{Call, Called, Kept, Order, Standing, Storing, Unstop, Word};
-use crate::world::tell_pace::What;
 use crate::world::{Timer, World};
 use crate::{Effect, PeerId, Receivers};
 
@@ -74,7 +73,7 @@ pub(crate) fn begin(
     }
     let order = order(world, peer, verb, (&path, kind), args)?;
     if verb == Verb::Unstop {
-        world.count_told(peer, (What::Unstop, top), "lifts stops here")?;
+        world.count_unstop(peer, top)?;
     }
     let waits = world
         .stops

@@ -9,7 +9,6 @@ use crate::messages::admit::receivers;
 use crate::tree::latch::Newer;
 use crate::world::World;
 use crate::world::stops::{Kept, Storing, Unstop};
-use crate::world::tell_pace::What;
 use crate::{Audit, Effect, PeerId, Receivers, Route};
 
 /// Begins to carry out an unstop whose message may pass.
@@ -41,7 +40,7 @@ pub(crate) fn unstop(
     if lifts_nothing(&newer, parcel.address.as_deref()) {
         return Err(newer_stop(&path, latch.newest, &newer));
     }
-    world.count_told(peer, (What::Unstop, channel), "lifts stops here")?;
+    world.count_unstop(peer, channel)?;
     let unstop = Unstop {
         peer,
         channel,

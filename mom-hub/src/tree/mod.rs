@@ -33,8 +33,6 @@ pub(crate) struct Tree {
     naming: BTreeMap<PeerId, BTreeSet<ContextNumber>>,
     /// What peers of a user have made.
     made: BTreeMap<Arc<str>, Made>,
-    /// Of some channel it was known once how fast its devices read.
-    pub(crate) is_paced: bool,
     last: u64,
 }
 
@@ -66,7 +64,6 @@ impl Tree {
         if let Some(creator) = context.creator {
             self.name_peer(creator, context.number);
         }
-        self.is_paced |= context.pace.is_some();
         let (parent, permanent) = (context.parent, context.permanent);
         self.contexts.insert(context.number, context);
         if permanent {

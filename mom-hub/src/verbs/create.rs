@@ -56,7 +56,6 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         .slot("context")
         .into());
     }
-    world.count_made(request.peer, parent)?;
     let number = world.make(request.path.clone(), &spec, Some(request.peer))?;
     world.grown.insert(number);
     world.audit_context("created", &request.path, Some(request.peer), out);

@@ -16,7 +16,6 @@ use crate::stops::shortened;
 use crate::world::World;
 use crate::world::events::peer_map;
 use crate::world::steps::{Expulsion, Leaving, Then};
-use crate::world::tell_pace::What;
 use crate::{Audit, Effect, PeerId};
 
 /// Users that are kept out of one context.
@@ -115,11 +114,7 @@ pub(crate) fn put_out(
     let why = text.unwrap_or("this peer was put out of the hub");
     let mut told = world.tree.members_of(number);
     // Of many the others hear how many are left.
-    if by.is_some_and(|by| {
-        world
-            .count_told(by, (What::Presence, number), "puts others out")
-            .is_err()
-    }) {
+    if by.is_some_and(|by| world.count_expulsion(number, by).is_err()) {
         told.retain(|member| *member == peer);
         world.hold_count(number);
     }

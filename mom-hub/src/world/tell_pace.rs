@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_proto::{Code, ContextNumber, Gcra, HUB, Micros, Pace, Wait, WireError};
+use mom_proto::{Code, ContextNumber, Gcra, Micros, Pace, Wait, WireError};
 
 use super::World;
 use crate::PeerId;
@@ -24,10 +24,6 @@ const MANY: usize = 64;
 pub(crate) enum What {
     /// Who comes to a context, leaves it, or is put out of it.
     Presence,
-    /// How many are there, where they are not named.
-    Count,
-    /// What is new in a session.
-    Made,
     /// Whose a token is.
     Owner,
     /// That stops of a channel, or of all below a session, are lifted.
@@ -41,19 +37,20 @@ impl What {
     fn each(self) -> Micros {
         match self {
             // Links of one user's robots that are lost and come back are told by it, too.
-            What::Owner | What::Presence | What::Count | What::Made => 50_000,
+            What::Owner | What::Presence => 50_000,
             What::Unstop => 250_000,
             // What people or agents answer.
             What::Wish => 1_000_000,
         }
     }
 
-    /// About how many bytes a device gets of one: a change of owner is `halt`, `released` and `grabbed`, and what nobody answers lapses.
-    fn bytes(self) -> u64 {
+    /// About how many bytes a device gets of one before all commands: a change of owner is `halt`, `released` and `grabbed`. None of what
+    /// the broker lets wait behind commands.
+    fn bytes(self) -> Option<u64> {
         match self {
-            What::Owner => 800,
-            What::Presence | What::Count => 200,
-            What::Unstop | What::Wish | What::Made => 400,
+            What::Owner => Some(800),
+            What::Unstop => Some(200),
+            What::Presence | What::Wish => None,
         }
     }
 
@@ -63,12 +60,12 @@ impl What {
             at_once: AT_ONCE,
             each: self.each(),
         };
-        let Some(reads) = reads.map(u64::from) else {
+        let Some((reads, bytes)) = reads.map(u64::from).zip(self.bytes()) else {
             return usual;
         };
         Terms {
-            at_once: (reads / 2 / self.bytes()).clamp(LEAST_AT_ONCE, usual.at_once),
-            each: (self.bytes() * 8_000_000 / reads.max(1)).max(usual.each),
+            at_once: (reads / 2 / bytes).clamp(LEAST_AT_ONCE, usual.at_once),
+            each: (bytes * 8_000_000 / reads.max(1)).max(usual.each),
         }
     }
 }
@@ -90,18 +87,23 @@ struct Told {
 }
 
 impl Told {
-    fn new(what: What, place: Place, slowest: Option<Slowest>) -> Told {
+    fn new(what: What, place: Place) -> Told {
+        Told {
+            what,
+            place,
+            reads: None,
+        }
+    }
+
+    /// The same, where a device hears of it of which it is known how fast it reads.
+    fn to(self, slowest: Option<Slowest>) -> Told {
         match slowest {
             Some(Slowest { reads, peer }) => Told {
-                what,
                 place: Place::To(peer),
                 reads: Some(reads),
+                ..self
             },
-            None => Told {
-                what,
-                place,
-                reads: None,
-            },
+            None => self,
         }
     }
 
@@ -226,7 +228,7 @@ impl World {
     pub(crate) fn count_change(&mut self, peer: PeerId, token: ContextNumber) {
         if let Some(user) = self.user_of(peer) {
             let told = self.hearers(token, &user);
-            let told = told.unwrap_or(Told::new(What::Owner, Place::In(token), None));
+            let told = told.unwrap_or(Told::new(What::Owner, Place::In(token)));
             // One that is not refused any more is too many for the next.
             let _ = self.tell_pace.take(told, &user, self.now);
         }
@@ -234,45 +236,25 @@ impl World {
 
     /// Whether it is told by name that a user comes to a context, or leaves it.
     pub(crate) fn count_presence(&mut self, number: ContextNumber, user: &Arc<str>) -> Result<(), TooOften> {
-        self.count_in(What::Presence, number, user)
+        let told = Told::new(What::Presence, Place::In(number));
+        self.tell_pace.take(told, user, self.now)
     }
 
-    /// Whether it may be told now how many are in a context: to a slow device not of many contexts at once.
-    pub(crate) fn count_counts(&mut self, number: ContextNumber) -> Result<(), TooOften> {
-        match self.slowest_in(number) {
-            Some(_) => self.count_in(What::Count, number, &HUB.into()),
+    /// Whether it is told by name that a peer puts another one out of a context.
+    pub(crate) fn count_expulsion(&mut self, number: ContextNumber, by: PeerId) -> Result<(), TooOften> {
+        match self.user_of(by) {
+            Some(user) => self.count_presence(number, &user),
             None => Ok(()),
         }
     }
 
-    /// Counts that a user has something told in a context.
+    /// Counts that a user lifts stops of a channel, or of all below a session.
     ///
     /// # Errors
     /// It was one too many.
-    pub(crate) fn count_told(
-        &mut self,
-        peer: PeerId,
-        (what, number): (What, ContextNumber),
-        words: &str,
-    ) -> Result<(), WireError> {
-        let Some(user) = self.user_of(peer) else {
-            return Ok(());
-        };
-        let counted = self.count_in(what, number, &user);
-        counted.map_err(|too_often| too_often.refusal(&user, words))
-    }
-
-    /// Counts that a user makes something in a session, where slow devices of others hear of it.
-    ///
-    /// # Errors
-    /// It was one too many.
-    pub(crate) fn count_made(&mut self, peer: PeerId, session: ContextNumber) -> Result<(), WireError> {
-        let user = self.user_of(peer);
-        let hears = |peer: &PeerId| self.user_of(*peer) != user;
-        match self.slowest_of(self.members(session).filter(|peer| hears(peer))) {
-            Some(_) => self.count_told(peer, (What::Made, session), "makes something here"),
-            None => Ok(()),
-        }
+    pub(crate) fn count_unstop(&mut self, peer: PeerId, number: ContextNumber) -> Result<(), WireError> {
+        let told = Told::new(What::Unstop, Place::In(number)).to(self.slowest_of(self.members(number)));
+        self.count(peer, told, "lifts stops here")
     }
 
     /// Counts that a user wants something of a peer.
@@ -280,17 +262,15 @@ impl World {
     /// # Errors
     /// It was one too many.
     pub(crate) fn count_wish(&mut self, peer: PeerId, to: PeerId) -> Result<(), WireError> {
+        self.count(peer, Told::new(What::Wish, Place::To(to)), "asks this peer")
+    }
+
+    fn count(&mut self, peer: PeerId, told: Told, words: &str) -> Result<(), WireError> {
         let Some(user) = self.user_of(peer) else {
             return Ok(());
         };
-        let told = Told::new(What::Wish, Place::To(to), self.slowest_of([to]));
         let taken = self.tell_pace.take(told, &user, self.now);
-        taken.map_err(|too_often| too_often.refusal(&user, "asks this peer"))
-    }
-
-    fn count_in(&mut self, what: What, number: ContextNumber, user: &Arc<str>) -> Result<(), TooOften> {
-        let told = Told::new(what, Place::In(number), self.slowest_in(number));
-        self.tell_pace.take(told, user, self.now)
+        taken.map_err(|too_often| too_often.refusal(&user, words))
     }
 
     fn user_of(&self, peer: PeerId) -> Option<Arc<str>> {
@@ -310,20 +290,12 @@ impl World {
         };
         let matter: Vec<PeerId> = peers.filter(matters).collect();
         let slowest = self.slowest_of(matter.iter().copied());
-        (!matter.is_empty()).then(|| Told::new(What::Owner, Place::In(token), slowest))
+        (!matter.is_empty()).then(|| Told::new(What::Owner, Place::In(token)).to(slowest))
     }
 
     fn members(&self, number: ContextNumber) -> impl Iterator<Item = PeerId> {
         let place = self.tree.get(number);
         place.into_iter().flat_map(|place| place.members.keys().copied())
-    }
-
-    fn slowest_in(&self, number: ContextNumber) -> Option<Slowest> {
-        // Most hubs know of no device how fast it reads.
-        self.tree
-            .is_paced
-            .then(|| self.slowest_of(self.members(number)))
-            .flatten()
     }
 
     fn slowest_of(&self, peers: impl IntoIterator<Item = PeerId>) -> Option<Slowest> {
@@ -347,9 +319,8 @@ mod tests {
 
     fn told(what: What, reads: Option<u32>) -> Told {
         Told {
-            what,
-            place: Place::In(ContextNumber(1)),
             reads,
+            ..Told::new(what, Place::In(ContextNumber(1)))
         }
     }
 
@@ -377,9 +348,9 @@ mod tests {
         assert_eq!(What::Owner.terms(None), terms(100, 50_000));
         assert_eq!(What::Presence.terms(None), terms(100, 50_000));
         assert_eq!(What::Owner.terms(Some(60_000)), terms(37, 106_666));
-        assert_eq!(What::Presence.terms(Some(60_000)), terms(100, 50_000));
         assert_eq!(What::Owner.terms(Some(6000)), terms(4, 1_066_666));
-        assert_eq!(What::Presence.terms(Some(6000)), terms(15, 266_666));
+        assert_eq!(What::Unstop.terms(Some(6000)), terms(15, 266_666));
+        assert_eq!(What::Presence.terms(Some(6000)), terms(100, 50_000));
         assert_eq!(What::Owner.terms(Some(u32::MAX)), What::Owner.terms(None));
     }
 }

@@ -90,6 +90,11 @@ impl<I: Item> Ledger<I> {
         self.sent
     }
 
+    /// As many of them as the other side is known to have read.
+    pub fn acknowledged(&self) -> u64 {
+        self.acknowledged
+    }
+
     /// The bytes that are kept.
     pub fn bytes(&self) -> usize {
         self.bytes

@@ -182,6 +182,17 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         waiting.chain(begun).map(|entry| &*entry.item)
     }
 
+    /// Whether data of this lane waits that has not begun.
+    pub fn has_data_at(&self, lane: Lane) -> bool {
+        match lane {
+            Lane::Data(priority) => {
+                let lane = self.data.get(&Reverse(priority));
+                lane.is_some_and(|lane| lane.iter().next().is_some())
+            }
+            _ => false,
+        }
+    }
+
     /// The most bytes of data that may wait.
     pub fn limit(&self) -> usize {
         self.limit

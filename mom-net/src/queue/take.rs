@@ -300,22 +300,23 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
     }
 
     /// What is sent again and goes next, taken out if it is ready; none where something else goes next. Where nothing says that it has
-    /// ended, control waits behind no data, and stays in its order.
+    /// ended, new control waits behind no data, but behind older control.
     fn next_again(&mut self) -> Option<Next<Entry<I>, I>> {
         let begun = self.open.iter().position(|open| open.number == AGAIN);
         let begun_lane = begun.map(|begun| self.open[begun].item.lane());
-        if !self.again.has_end() && begun_lane != Some(Lane::Control) {
-            let overtakes = |control: &Entry<I>| !control.item.waits_behind_data();
+        let overtakes = |control: &Entry<I>| !control.item.waits_behind_data();
+        let waits = self.control.front().is_some_and(overtakes);
+        if waits && !self.again.has_end() && begun_lane != Some(Lane::Control) {
             match self.again.first_of(Lane::Control) {
-                Some(control) if overtakes(control) => {
-                    return match control.item.is_ready(self.form) {
-                        false => Some(Next::Unready(Arc::clone(&control.item))),
+                None => return None,
+                Some(older) if overtakes(older) => {
+                    return match older.item.is_ready(self.form) {
+                        false => Some(Next::Unready(Arc::clone(&older.item))),
                         true => self.again.take_first_of(Lane::Control).map(Next::Ready),
                     };
                 }
-                None if self.control.front().is_some_and(overtakes) => return None,
-                // What is newer stays behind it.
-                _ => {}
+                // It stays behind it.
+                Some(_) => {}
             }
         }
         match (begun, self.again.front()) {

@@ -172,6 +172,7 @@ impl<M: Machine> DeviceServer<M> {
             }
             // Without names of who joined, all are told.
             Event::Count(_) => self.report(out),
+            event if event.is_gap() => self.report(out),
             Event::Rejoined | Event::Resumed => {
                 self.report(out);
                 self.tell_own_stop(out);
@@ -439,7 +440,7 @@ impl<M: Machine> DeviceServer<M> {
         }
     }
 
-    /// `{id?, peer, state, statement, of, error?}`, as a robot's.
+    /// `{id?, peer, fence?, state, statement, of, error?}`, as a robot's.
     fn status_message(&self, progress: &Progress, state: &str, error: Option<Value>) -> Parcel {
         let Progress { order, statement, of } = progress;
         let mut content = id_map(order)
@@ -447,6 +448,9 @@ impl<M: Machine> DeviceServer<M> {
             .with("state", state)
             .with("statement", *statement)
             .with("of", *of);
+        if let Some(fence) = order.fence {
+            content.set("fence", i64::try_from(fence).unwrap_or(i64::MAX));
+        }
         if let Some(error) = error {
             content.set("error", error);
         }

@@ -21,5 +21,5 @@ pub use ending::{HALTED, Halt, REPEATED, TIMES, halt, insist};
 pub use failure::{Doing, Tell, VerbFailure, both};
 pub use holding::{Holding, WorkEnd, lost_words};
 pub use pose::Pose;
-pub use robot::{CommandEnd, Robot, RobotState};
+pub use robot::{CommandEnd, Robot, RobotState, gone};
 pub use scope::{beyond_scope, scope_end_words};

@@ -49,6 +49,9 @@ struct CommandStatus {
     #[serde(default)]
     id: Option<u64>,
     peer: String,
+    /// Under which the command came.
+    #[serde(default)]
+    fence: Option<u64>,
     state: String,
     #[serde(default)]
     error: Option<Value>,
@@ -101,6 +104,21 @@ impl Trouble {
     }
 }
 
+/// That a device is not there any more, in words that a place follows: it has left, or its connection is lost, and what it does then
+/// nobody can tell.
+#[must_use]
+pub fn gone(event: &Event, device: &str) -> Option<String> {
+    match event {
+        Event::Left(member) if member.peer == device => Some(format!("{device} has left")),
+        Event::Other(parcel) if parcel.is(Family::Event, mom_client::event::LOST) => {
+            let lost = parcel.value();
+            let is_device = lost.get("peer").and_then(Value::as_str) == Some(device);
+            is_device.then(|| format!("the hub has lost the connection of {device}, the device in"))
+        }
+        _ => None,
+    }
+}
+
 /// How a command ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CommandEnd {
@@ -116,6 +134,8 @@ pub struct Robot {
     channel: DeviceChannel,
     events: Events,
     state: Option<RobotState>,
+    /// The peer that told it.
+    device: Option<String>,
     /// That of the token.
     fence: u64,
     /// Whether a command was sent whose end was not told.
@@ -130,6 +150,7 @@ impl Robot {
             events: channel.events(),
             channel,
             state: None,
+            device: None,
             fence,
             runs: false,
         }
@@ -333,6 +354,15 @@ impl Robot {
                 if let Ok(state) = from_value(parcel.value()) {
                     self.state = Some(state);
                 }
+                if !parcel.is_history() {
+                    self.device = parcel.sender.as_deref().map(str::to_owned);
+                }
+            }
+            event if let Some(gone) = self.device.as_deref().and_then(|device| gone(event, device)) => {
+                return Err(VerbFailure::new(
+                    format!("{gone} {}", self.channel.path()),
+                    "see who is there: mom tree",
+                ));
             }
             Event::LinkDown => {
                 return Err(VerbFailure::plain(
@@ -354,11 +384,12 @@ impl Robot {
         let Event::Message(parcel) = event else {
             return None;
         };
-        let status: CommandStatus = match parcel.name() {
-            "status" => from_value(parcel.value()).ok()?,
-            _ => return None,
-        };
-        ((id.is_none() || status.id == id) && status.peer == self.channel.me()).then_some(status)
+        if parcel.name() != "status" || parcel.is_history() {
+            return None;
+        }
+        let status: CommandStatus = from_value(parcel.value()).ok()?;
+        let ours = status.peer == self.channel.me() && status.fence.is_none_or(|fence| fence == self.fence);
+        (ours && (id.is_none() || status.id == id)).then_some(status)
     }
 }
 

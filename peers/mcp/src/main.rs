@@ -4,6 +4,7 @@
 mod answer;
 mod assistant;
 mod drive;
+mod id_of;
 mod progress;
 mod script;
 mod server;

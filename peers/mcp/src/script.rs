@@ -214,7 +214,7 @@ impl Running {
         };
         loop {
             match self.events.next().await {
-                Some(Event::Message(parcel)) if parcel.name() == "status" => {
+                Some(Event::Message(parcel)) if parcel.name() == "status" && !parcel.is_history() => {
                     if let Ok(status) = from_value::<Status>(parcel.value())
                         && (self.id.is_none() || status.id == self.id)
                         && status.peer == assistant.client.name()

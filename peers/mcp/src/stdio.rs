@@ -18,6 +18,8 @@ use serde_json::{Value as Json, json};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::timeout;
 
+use crate::id_of::IdFinder;
+
 /// The longest line; a script may have 64 KiB, and each of its characters may be written as six.
 pub(crate) const LONGEST: usize = 512 * 1024;
 /// So many calls may be under way.
@@ -38,8 +40,8 @@ const BUSY: i64 = -32000;
 #[derive(Debug, PartialEq)]
 enum ClientLine {
     Whole(Vec<u8>),
-    /// Its bytes are gone.
-    TooLong,
+    /// Its bytes are gone, but for the id of a call.
+    TooLong(Json),
 }
 
 /// The transport of a server on the standard streams.
@@ -89,7 +91,7 @@ pub(crate) fn open() -> (Stdio, watch::Sender<bool>, Written) {
 
 /// Hands over each line, until the end.
 fn read(mut input: impl BufRead, heard: &mpsc::Sender<ClientLine>) {
-    let (mut line, mut too_long) = (Vec::new(), false);
+    let (mut line, mut too_long): (Vec<u8>, Option<IdFinder>) = (Vec::new(), None);
     loop {
         let buffer = match input.fill_buf() {
             Ok([]) | Err(_) => return,
@@ -97,18 +99,22 @@ fn read(mut input: impl BufRead, heard: &mpsc::Sender<ClientLine>) {
         };
         let end = buffer.iter().position(|byte| *byte == b'\n');
         let piece = &buffer[..end.unwrap_or(buffer.len())];
-        too_long |= line.len() + piece.len() > LONGEST;
-        match too_long {
-            true => line.clear(),
-            false => line.extend_from_slice(piece),
+        if too_long.is_none() && line.len() + piece.len() > LONGEST {
+            let mut finder = IdFinder::default();
+            finder.feed(&std::mem::take(&mut line));
+            too_long = Some(finder);
+        }
+        match &mut too_long {
+            Some(finder) => finder.feed(piece),
+            None => line.extend_from_slice(piece),
         }
         let taken = end.map_or(buffer.len(), |end| end + 1);
         input.consume(taken);
         if end.is_some() {
             let whole = std::mem::take(&mut line);
-            let next = match std::mem::take(&mut too_long) {
-                true => ClientLine::TooLong,
-                false => ClientLine::Whole(whole),
+            let next = match too_long.take() {
+                Some(finder) => ClientLine::TooLong(finder.id()),
+                None => ClientLine::Whole(whole),
             };
             if heard.blocking_send(next).is_err() {
                 return;
@@ -237,9 +243,9 @@ impl Transport<RoleServer> for Stdio {
                         return Some(message);
                     }
                 }
-                ClientLine::TooLong => {
+                ClientLine::TooLong(id) => {
                     let text = format!("a line of more than {LONGEST} bytes; nothing of it was read");
-                    self.refuse(&Json::Null, NO_REQUEST, &text);
+                    self.refuse(&id, NO_REQUEST, &text);
                 }
             }
         }
@@ -272,7 +278,7 @@ mod tests {
             (b"\n", vec![whole(b"")]),
             (
                 &[&long[..], b"\nnext\n"].concat(),
-                vec![ClientLine::TooLong, whole(b"next")],
+                vec![ClientLine::TooLong(Json::Null), whole(b"next")],
             ),
             (&[&long[1..], b"\n"].concat(), vec![whole(&long[1..])]),
             (&long, vec![]),

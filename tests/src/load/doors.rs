@@ -162,12 +162,14 @@ impl Line {
                 Ok(())
             }
             Carrier::Tunnel { id, heard, down, .. } => {
-                let down = match down {
-                    Some(down) => down,
-                    None => down.insert(Pipe::open(self.route).await?),
+                // Who does not wait for the answer does not read it as the next one's.
+                let mut pipe = match down.take() {
+                    Some(pipe) => pipe,
+                    None => Pipe::open(self.route).await?,
                 };
                 let first = format!("GET /tunnel/{id}?at={heard}&wait=1");
-                let answer = down.ask(&first, &["Host: 127.0.0.1"], b"").await?;
+                let answer = pipe.ask(&first, &["Host: 127.0.0.1"], b"").await?;
+                *down = Some(pipe);
                 if answer.status != 200 || answer.header("mom-end").is_some() {
                     return Err(io::ErrorKind::UnexpectedEof.into());
                 }

@@ -56,6 +56,7 @@ mod simulacrum;
 mod simulacrum_stops;
 mod states;
 mod stats;
+mod status;
 mod stops;
 mod swarm;
 mod thinning;

@@ -4,7 +4,10 @@
 use std::time::Duration;
 
 use mom_client::{Channel, Client, Event, Events, from_value};
+use mom_proto::Code;
+use mom_proto::codec::Form;
 use mom_tests::programs::{PATIENCE, Running, program, project, run, text};
+use mom_tests::raw::Raw;
 use tokio::time::timeout;
 
 /// Picks the red block and puts it on the blue one.
@@ -286,6 +289,22 @@ async fn end(lab: Lab) {
             .expect("waited for");
         assert_eq!(ended.code(), Some(0));
     }
+}
+
+/// Signals that mean nothing here end nothing, and SIGQUIT ends it as SIGTERM does: whoever is connected hears of it.
+#[tokio::test(flavor = "multi_thread")]
+async fn only_signals_that_say_so_stop_a_broker() {
+    let (broker, address) = Running::broker(&project().join("config/lab.toml"));
+    let address = address.parse().expect("an address");
+    let mut bob = Raw::login(address, Form::Json, "bob").await;
+    for name in ["USR1", "USR2", "ALRM"] {
+        broker.signal(name);
+        bob.check_alive().await;
+    }
+    broker.signal("QUIT");
+    assert_eq!(bob.next_error().await.code, Code::SHUTDOWN);
+    let status = tokio::task::spawn_blocking(move || broker.wait()).await;
+    assert_eq!(status.expect("waited for").code(), Some(0));
 }
 
 /// README's first command: a hub, an arm and a camera in one process, and what to try next.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import secrets
 from collections import OrderedDict
 from dataclasses import dataclass
 from datetime import datetime
@@ -85,6 +86,9 @@ class Core:
         self._pending: Dict[int, _Pending] = {}
         self._sent: OrderedDict[int, Optional[str]] = OrderedDict()
         self._ids = 0
+        # Of messages that a receiver answers: begun anywhere, so that no status of another connection of this name, and none that a
+        # channel has kept, is the answer to one.
+        self._answered_ids = (1 << 52) + secrets.randbits(51)
 
     @property
     def peer(self) -> str:
@@ -103,6 +107,12 @@ class Core:
         """A number for a parcel, used by no other."""
         self._ids += 1
         return self._ids
+
+    def _id_of(self, parcel: Parcel) -> int:
+        if parcel.family == "message" and (parcel.name == "command" or parcel.receipt):
+            self._answered_ids += 1
+            return self._answered_ids
+        return self.next_id()
 
     def enter(self, state: LinkState) -> None:
         """Tells of another state of the link."""
@@ -125,7 +135,7 @@ class Core:
         """Sends a message, once there is room for it; gives its id."""
         self.check_up()
         if parcel.id is None:
-            parcel.id = self.next_id()
+            parcel.id = self._id_of(parcel)
         if parcel.timestamp is None:
             parcel.timestamp = self.wall()
         place = self.places.get(parcel.context or "")
@@ -154,7 +164,7 @@ class Core:
 
     def begin(self, parcel: Parcel, taken: Optional[Callable[[Parcel], None]] = None) -> asyncio.Future[Parcel]:
         """Lets a request wait to be sent; gives its answer to come. `taken` hears the reply before what comes behind it is heard."""
-        parcel.id = self.next_id() if parcel.id is None else parcel.id
+        parcel.id = self._id_of(parcel) if parcel.id is None else parcel.id
         number, future = parcel.id, asyncio.get_running_loop().create_future()
         self._pending[number] = _Pending(future, _what(parcel), taken)
         future.add_done_callback(lambda _: self._pending.pop(number, None))
@@ -202,7 +212,7 @@ class Core:
         elif parcel.is_("manager", "consult") and self.subscribers.deliver_consult(Other(parcel)):
             pass
         else:
-            if parcel.is_("message", "status"):
+            if parcel.is_("message", "status") and not parcel.history:
                 self._receive_status(parcel.map())
             event, place = of_parcel(parcel), self.places.get(parcel.context or "")
             if place is not None:

@@ -9,7 +9,7 @@ from typing import Any, Awaitable, Coroutine, Dict, List, Mapping, Optional, Set
 
 from .core import Core
 from .errors import MomError
-from .events import Event, Joined, Lagged, Message, Rejoined, Released, StateChanged
+from .events import Dropped, Event, Joined, Lagged, Message, Rejoined, Released, StateChanged
 from .gate import StaleError
 from .latch import Held, Latch, Reaction
 from .proxies import Channel
@@ -117,6 +117,9 @@ class Device:
             self._link(event.state.word)
         elif isinstance(event, Joined):
             self.report([event.member.peer])
+        elif isinstance(event, Dropped) and event.parcel.map().get("sender") == "hub":
+            # Who has joined meanwhile is not known.
+            self.report()
         elif isinstance(event, Rejoined):
             self.report()
             self._say(self._tell_own_stop())

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use mom_hub::{PeerId, Receivers, Route, Usage};
 use mom_net::{DropReason, Lane, Taken};
 use mom_proto::codec::Form;
-use mom_proto::{ContextNumber, Delivery, Family, Parcel, Path, Time, Verb};
+use mom_proto::{ContextNumber, Delivery, Family, Parcel, Path, Time, Verb, event};
 use mom_system::Clock;
 use mom_system::sync::Mutex;
 use mom_system::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -369,6 +369,33 @@ pub(crate) fn by_hub(parcel: &Parcel, encodings: Encodings, account: Option<&Arc
     }
     packet
 }
+
+/// What a device can do without for a moment, and of which class it is then: what others do, which they can do often and at length.
+/// What has to do with its own tokens and stops is none of it.
+pub(crate) fn news_of(parcel: &Parcel) -> Option<Delivery> {
+    match (parcel.family, parcel.name()) {
+        (
+            Family::Event,
+            event::JOINED | event::LEFT | event::LOST | event::RESUMED | event::EXPELLED | event::DROPPED,
+        )
+        | (Family::Manager, CONSULT) => Some(Delivery::Fleeting),
+        (
+            Family::Event,
+            event::CREATED
+            | event::DELETED
+            | event::INVITED
+            | event::REQUESTED
+            | event::OFFER
+            | event::LAPSED
+            | event::QUEUED
+            | event::NOTICE,
+        ) => Some(Delivery::Reliable),
+        _ => None,
+    }
+}
+
+/// A question to a peer that manages a context.
+const CONSULT: &str = "consult";
 
 /// What goes by the control lane.
 pub(crate) fn control(

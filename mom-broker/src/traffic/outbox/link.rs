@@ -75,6 +75,12 @@ impl Outbox {
         drop(link);
     }
 
+    /// How many parcels the peer is known to have read.
+    pub(crate) fn acknowledged_count(&self) -> u64 {
+        let way = self.way.lock();
+        way.link.as_ref().map_or(0, |link| link.ledger.acknowledged())
+    }
+
     /// Takes in how many parcels the peer has read.
     ///
     /// # Errors

@@ -180,6 +180,20 @@ impl Outbox {
         (taken, first)
     }
 
+    /// As [`Outbox::push`], for what the hub tells a device of others: before commands as long as it is little, and else `behind` all messages.
+    pub(crate) fn push_news(&self, packet: Arc<Packet>, behind: &Arc<Packet>) -> (Taken, bool) {
+        let mut queue = self.queue.lock();
+        if self.closed.load(Ordering::Acquire) {
+            return (Taken::Dropped, false);
+        }
+        let taken = queue.push_news(packet, behind, &self.clock);
+        drop(queue);
+        let first = !self.touched.swap(true, Ordering::SeqCst);
+        // As in `push`.
+        fence(Ordering::SeqCst);
+        (taken, first)
+    }
+
     /// As [`Outbox::push`], for a receiver that wants the newest of each sender and name only, and one in `interval` µs
     /// at most. None: it waits for its time, and leaves by itself when that comes.
     pub(crate) fn push_thinned(&self, packet: Arc<Packet>, interval: Micros) -> (Option<Taken>, bool) {

@@ -14,6 +14,9 @@ use crate::traffic::memory::{Account, Charge};
 /// Of what is written together, in bytes: more fills a call by itself.
 const SMALL: usize = 4096;
 
+/// The priority of what the hub tells a device of others: below all that peers may give, so that nothing waits behind it.
+const NEWS: i32 = -500;
+
 /// The fence that lets guarded parcels of a channel pass now; 0 while nobody owns the token.
 pub(crate) type Gate = Arc<AtomicU64>;
 
@@ -103,10 +106,24 @@ impl Packet {
 
     /// The same for receivers that want the newest only, whatever its class is.
     pub(crate) fn as_latest(self: &Arc<Packet>) -> Packet {
+        self.among(self.lane, Delivery::Latest)
+    }
+
+    /// The same for a device that it reaches behind all messages.
+    pub(crate) fn as_news(self: &Arc<Packet>, delivery: Delivery) -> Packet {
+        self.among(Lane::Data(NEWS), delivery)
+    }
+
+    /// Whether it is what others do, as the hub tells it to a device.
+    pub(crate) fn is_news(&self) -> bool {
+        self.lane == Lane::Data(NEWS)
+    }
+
+    fn among(self: &Arc<Packet>, lane: Lane, delivery: Delivery) -> Packet {
         Packet {
             encodings: self.encodings.clone(),
-            lane: self.lane,
-            delivery: Delivery::Latest,
+            lane,
+            delivery,
             origin: self.origin.clone(),
             expires_at: self.expires_at,
             gate: self.gate.clone(),
@@ -222,7 +239,7 @@ impl Item for Packet {
     }
 
     fn follows(&self, earlier: &Packet) -> bool {
-        self.origin.context == earlier.origin.context
+        self.origin.context == earlier.origin.context && !earlier.is_news()
     }
 
     fn outlives_loss(&self) -> bool {

@@ -4,9 +4,11 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use mom_hub::PeerId;
-use mom_proto::{Family, Map, Parcel, Path, event};
+use mom_net::DropReason;
+use mom_proto::{ContextNumber, Family, HUB, Map, Parcel, Path, event};
 
 use super::{Switchboard, Touched};
+use crate::traffic::channel::{HUB_PEER, stamped};
 use crate::traffic::outbox::{Dropped, Outbox};
 
 /// Receivers of whom a sender hears one by one; of more, devices alone. It hears that before all data, and nobody has it hear of nothing else by many
@@ -53,7 +55,12 @@ impl Switchboard {
         // A device hears of all senders together: what is said of each goes before its owner's commands.
         let together = outbox.is_device();
         let mut of_all: BTreeMap<Dropped, (Path, u64)> = BTreeMap::new();
+        let mut events: BTreeMap<ContextNumber, u64> = BTreeMap::new();
         for (dropped, count) in outbox.take_drops() {
+            if together && dropped.sender == HUB_PEER {
+                *events.entry(dropped.context).or_default() += count;
+                continue;
+            }
             let Some(channel) = self.channel(dropped.context) else {
                 continue;
             };
@@ -81,6 +88,25 @@ impl Switchboard {
             let content = of(dropped, count).with("receiver", &*outbox.name());
             self.tell_of_drops(outbox.peer, dropped, &path, content, touched);
         }
+        for (context, count) in events {
+            self.tell_of_events(outbox, (context, count), touched);
+        }
+    }
+
+    /// Tells a device that it did not hear of others in a context so many times. Where it does not get that either, it is told so the next time.
+    fn tell_of_events(&self, outbox: &Outbox, (context, count): (ContextNumber, u64), touched: &mut Touched) {
+        // It may have been deleted since.
+        let path = self.hub.lock().path(context).cloned().unwrap_or_else(Path::root);
+        let content = Map::new()
+            .with("reason", DropReason::Full.word())
+            .with("count", i64::try_from(count).unwrap_or(i64::MAX))
+            .with("sender", HUB)
+            .with("receiver", &*outbox.name());
+        let mut parcel = Parcel::new(Family::Event, event::DROPPED)
+            .context(path)
+            .content(content);
+        parcel.number = Some(context);
+        self.tell_news(outbox.peer, parcel, touched);
     }
 
     /// Tells a sender who did not get what: each receiver by itself, or many together.
@@ -124,7 +150,12 @@ impl Switchboard {
             .context(path.clone())
             .content(content);
         parcel.number = Some(dropped.context);
-        self.tell(peer, parcel, touched);
+        self.tell_news(peer, parcel, touched);
+    }
+
+    fn tell_news(&self, peer: PeerId, parcel: Parcel, touched: &mut Touched) {
+        let parcel = Arc::new(stamped(parcel, self.clock.wall()));
+        self.push_to_all(&[peer], &parcel, touched);
     }
 }
 

@@ -14,7 +14,7 @@ use mom_system::{Clock, Workers};
 
 use crate::traffic::batch::{self, BatchWriter};
 use crate::traffic::capacity::{names, spared};
-use crate::traffic::channel::{Channel, LARGEST_STOP, Sent, by_hub, control, hub_origin, stamped};
+use crate::traffic::channel::{Channel, LARGEST_STOP, Sent, by_hub, control, hub_origin, news_of, stamped};
 use crate::traffic::encodings::{Bounds, Encoder, Encodings};
 use crate::traffic::inquiries::Inquiries;
 use crate::traffic::memory::Memory;
@@ -326,8 +326,14 @@ impl Switchboard {
                     _ => None,
                 };
                 let packet = by_hub(parcel, encodings, account.as_ref());
+                let news = news_of(parcel).map(|class| Arc::new(packet.as_news(class)));
                 for outbox in outboxes {
-                    self.push(&outbox, Arc::clone(&packet), touched);
+                    match &news {
+                        Some(news) if outbox.is_device() && !puts_out(parcel, &outbox) => {
+                            self.push_news(&outbox, &packet, news, touched);
+                        }
+                        _ => self.push(&outbox, Arc::clone(&packet), touched),
+                    }
                 }
             }
             // Only content that an application chose can do this: the safe state of a token.
@@ -345,6 +351,21 @@ impl Switchboard {
                 touched,
             );
         }
+    }
+
+    /// True if it is not dropped.
+    fn push_news(
+        &self,
+        outbox: &Arc<Outbox>,
+        packet: &Arc<Packet>,
+        news: &Arc<Packet>,
+        touched: &mut Touched,
+    ) -> bool {
+        let (taken, first) = outbox.push_news(Arc::clone(packet), news);
+        if first {
+            touched.push(Arc::clone(outbox));
+        }
+        taken == Taken::Yes
     }
 
     fn push(&self, outbox: &Arc<Outbox>, packet: Arc<Packet>, touched: &mut Touched) {
@@ -367,6 +388,12 @@ impl Paths for Switchboard {
 
 fn shutdown() -> WireError {
     WireError::new(Code::SHUTDOWN, "the hub is shutting down; connect again later")
+}
+
+/// Whether it tells a peer that it was put out itself.
+fn puts_out(parcel: &Parcel, outbox: &Outbox) -> bool {
+    let peer = |content: Value| content.get("peer").and_then(Value::as_str) == Some(&*outbox.name());
+    parcel.name() == event::EXPELLED && peer(parcel.value())
 }
 
 /// Flushes every outbox of a turn.

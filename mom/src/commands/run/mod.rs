@@ -407,7 +407,7 @@ impl Job {
     /// The status in an event about the command `id`, and its sender.
     fn read(&self, event: &Event, id: u64) -> Result<Option<(StatusChange, Option<String>)>, Failure> {
         match event {
-            Event::Message(parcel) if parcel.name() == "status" => {
+            Event::Message(parcel) if parcel.name() == "status" && !parcel.is_history() => {
                 let Ok(status) = from_value::<Status>(parcel.value()) else {
                     return Ok(None);
                 };
@@ -425,10 +425,17 @@ impl Job {
                 };
                 Ok(Some((change, parcel.sender.as_deref().map(str::to_owned))))
             }
-            Event::Left(member) if self.robot.as_ref() == Some(&member.peer) => Err(Failure::new(
-                format!("{} left {}", member.peer, self.channel),
-                "see who is there: mom tree",
-            )),
+            event
+                if let Some(gone) = self
+                    .robot
+                    .as_deref()
+                    .and_then(|robot| mom_drive::gone(event, robot)) =>
+            {
+                Err(Failure::new(
+                    format!("{gone} {}", self.channel),
+                    "see who is there: mom tree",
+                ))
+            }
             Event::LinkDown => Err(Failure::new(
                 "the connection to the hub is lost, and the token with it",
                 format!(

@@ -227,6 +227,9 @@ impl ModelServer {
             }
             // Without names of who joined, all are told.
             Event::Count(_) => out.push(self.message(OBJECTS, self.snapshot(self.objects.iter(), now))),
+            event if event.is_gap() => {
+                out.push(self.message(OBJECTS, self.snapshot(self.objects.iter(), now)));
+            }
             Event::LinkDown => self.unlinked = true,
             Event::Rejoined | Event::Resumed => {
                 self.unlinked = false;

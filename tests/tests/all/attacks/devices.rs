@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use mom_broker::{Broker, Clock, Config};
 use mom_proto::codec::Form;
-use mom_proto::{Code, Delivery, Family, Limit, Map, Parcel, Value, WireError};
+use mom_proto::{Code, Delivery, Family, Limit, Map, Parcel, Value, WireError, from_value};
 use mom_tests::attacks::configuration;
 use mom_tests::canary::fence_of;
 use mom_tests::raw::{Raw, at, message};
@@ -421,6 +421,91 @@ async fn nobody_has_an_owner_hear_of_each_of_many_that_are_gone() {
     let (events, receivers, count) = told;
     assert!(receivers >= 1500 && count >= 1500, "{told:?}");
     assert!(events <= 60, "{events} events of {receivers} receivers");
+    broker.check();
+    broker.stop().await;
+}
+
+/// Whatever others do where a slow device is, and however long its names are: of that no more than the hub lets go ahead comes before the
+/// owner's commands, the device is not closed for it, and it hears that it has missed some.
+#[tokio::test]
+async fn what_others_do_comes_behind_the_owners_commands() {
+    let hall = Map::new().with("path", "/hall").with("kind", "session");
+    let (broker, address) = start_with(|config| {
+        let mut contexts = config.contexts.iter_mut();
+        let arm = contexts.find(|spec| spec.path.as_deref() == Some(ARM));
+        arm.expect("the arm's channel").pace = Some(6000);
+        config.limits.outbox = 256 << 10;
+        config.contexts.push(from_value(hall.into()).expect("a context"));
+    })
+    .await;
+    let mut robot = robot(address).await;
+    robot.join(&["/hall"]).await;
+    let mut operator = member(address, "alice").await;
+    let fence = own(&mut operator).await;
+    let mut bob = member(address, "bob").await;
+    bob.join(&["/hall"]).await;
+    let about = |family, name: &str, path: &str, content: Map| {
+        let parcel = Parcel::new(family, name).context(at(path));
+        parcel.content(content)
+    };
+    let token = |number: usize| format!("/hall/{}{number}", "n".repeat(800));
+    for number in 0..150 {
+        let kind = Map::new().with("kind", "token");
+        let create = about(Family::Context, "create", &token(number), kind);
+        bob.ask(create).await.expect("everybody may");
+    }
+    for number in 0..150 {
+        let delete = about(Family::Context, "delete", &token(number), Map::new());
+        bob.ask(delete).await.expect("it is his");
+    }
+    let chairs = Map::new().with("users", vec!["arm".into()]);
+    let manager = Map::new()
+        .with("kind", "moderated")
+        .with("chairs", chairs)
+        .with("within", 1)
+        .with("verbs", vec!["grab".into()]);
+    let asking = Map::new().with("kind", "token").with("manager", manager);
+    let create = about(Family::Context, "create", "/hall/asking", asking);
+    bob.ask(create).await.expect("everybody may");
+    let mut ghosts = Vec::new();
+    for _ in 0..20 {
+        let mut ghost = Raw::login(address, Form::Binary, "bob").await;
+        ghost.join(&["/hall", "/robot", "/hall/asking"]).await;
+        ghost
+            .post(about(Family::Token, "grab", "/hall/asking", Map::new()))
+            .await;
+        for _ in 0..10 {
+            ghost
+                .ask_about(Family::Context, "leave", "/hall")
+                .await
+                .expect("he is there");
+            ghost.join(&["/hall", "/hall/asking"]).await;
+        }
+        ghosts.push(ghost);
+    }
+    operator.ask(command(fence, 1)).await.expect("it is taken");
+    let (mut ahead, mut bytes) = (0, 0);
+    loop {
+        let parcel = robot.next().await.expect("it is not closed");
+        if parcel.is(Family::Message, "command") {
+            break;
+        }
+        ahead += 1;
+        bytes += parcel.size();
+    }
+    // What the network holds, and half a second of what the device reads.
+    assert!(bytes <= 16 << 10, "{ahead} of {bytes} bytes");
+    let missed = loop {
+        let parcel = robot.next_within(Duration::from_secs(20)).await;
+        let parcel = parcel.flatten().expect("it is told");
+        let content = parcel.value();
+        let sender = content.get("sender").and_then(Value::as_str);
+        if parcel.is(Family::Event, "dropped") && sender == Some("hub") {
+            break content.get("count").and_then(Value::as_int).unwrap_or_default();
+        }
+    };
+    assert!(missed > 0);
+    drop(ghosts);
     broker.check();
     broker.stop().await;
 }

@@ -1,12 +1,14 @@
 //! What of a device's queue others than the owner of its token may fill: it is not closed because of what somebody sends to it.
 //!
 //! What needs no token may fill three quarters of the bound, and what one user says of it a quarter. More is refused, to its sender: the
-//! rest is for the owner's commands.
+//! rest is for the owner's commands. What the hub tells it of others goes before commands up to an eighth of what it reads, and behind all messages
+//! beyond that, as far as there is room.
 
 use std::sync::Arc;
 
-use mom_net::{Item as _, Lane};
-use mom_proto::{Delivery, Micros};
+use mom_net::{DropReason, Item as _, Lane, Taken};
+use mom_proto::{Delivery, Gcra, Micros, Pace};
+use mom_system::Clock;
 
 use super::PeerQueue;
 use crate::traffic::memory::Account;
@@ -24,11 +26,21 @@ pub(super) struct Shares {
     all: usize,
     /// Bytes that the device reads in a second.
     pace: Option<u32>,
+    /// Of what the hub tells it of others.
+    news: usize,
+    /// How much of that has gone before commands.
+    ahead: Gcra,
 }
+
+/// Bytes that a device is taken to read in a second where nobody says so.
+const READS: u64 = 20_000;
 
 /// Whether what waits is within the shares: it may not be dropped, and needs no token.
 fn is_shared(packet: &Packet) -> bool {
-    matches!(packet.lane, Lane::Data(_)) && packet.gate.is_none() && packet.delivery == Delivery::Reliable
+    matches!(packet.lane, Lane::Data(_))
+        && packet.gate.is_none()
+        && packet.delivery == Delivery::Reliable
+        && !packet.is_news()
 }
 
 impl PeerQueue {
@@ -41,6 +53,28 @@ impl PeerQueue {
     /// Whether it is a device's.
     pub(crate) fn is_device(&self) -> bool {
         self.shares.is_some()
+    }
+
+    /// Puts in what the hub tells a device of others: as it is where little of that was told lately, and else `behind` all messages.
+    /// Where much waits already it is dropped, and the device is told so.
+    pub(crate) fn push_news(&mut self, packet: Arc<Packet>, behind: &Arc<Packet>, clock: &Clock) -> Taken {
+        let form = self.queue.form();
+        let (size, waits) = (as_count(packet.charge(form)), self.queue.has_data_at(behind.lane));
+        if let Some(shares) = self.shares.as_mut().filter(|_| !waits) {
+            // An eighth in the long run, half a second's worth at once.
+            let reads = shares.pace.map_or(READS, u64::from);
+            let pace = Pace::per_second((reads / 8).max(1), reads / 2);
+            if shares.ahead.take(&pace, size, clock.now()).is_ok() {
+                return self.push(packet, clock);
+            }
+        }
+        match self.push(Arc::clone(behind), clock) {
+            Taken::Overflow => {
+                self.queue.note_dropped(behind, DropReason::Full);
+                Taken::Dropped
+            }
+            taken => taken,
+        }
     }
 
     /// The bytes that wait for a device, may not be dropped and are not its owner's: it is not slow for those. None if one more is beyond
@@ -57,25 +91,46 @@ impl PeerQueue {
         if shares.looked_at.is_none_or(|at| now.saturating_sub(at) >= LOOK) {
             **shares = Shares {
                 pace: shares.pace,
+                ahead: shares.ahead,
                 ..Shares::default()
             };
             if few {
                 return Some(0);
             }
             shares.looked_at = Some(now);
-            let waiting = self.queue.data().filter(|waiting| is_shared(waiting));
-            waiting.for_each(|waiting| shares.add(waiting.account(), waiting.charge(form)));
+            for waiting in self.queue.data() {
+                match waiting.is_news() {
+                    true => shares.news += waiting.charge(form),
+                    false if is_shared(waiting) => shares.add(waiting.account(), waiting.charge(form)),
+                    false => {}
+                }
+            }
+        }
+        let beyond = |held: usize, most: usize| held > 0 && held + size > most;
+        if packet.is_news() {
+            // What is made and deleted is told as far as the outbox has room for it, however slow the device is.
+            let most = match packet.delivery {
+                Delivery::Reliable => self.queue.limit() / 2,
+                Delivery::Latest | Delivery::Fleeting => limit / 4,
+            };
+            if !few && beyond(shares.news, most) {
+                return None;
+            }
+            shares.news += size;
         }
         if is_shared(packet) {
             // One message of any size where none waits: of this user, and of all.
-            let beyond = |held: usize, most: usize| held > 0 && held + size > most;
             if !few && (beyond(shares.all, limit / 4 * 3) || beyond(shares.of(packet.account()), limit / 4)) {
                 return None;
             }
             shares.add(packet.account(), size);
         }
-        Some(shares.all)
+        Some(shares.all + shares.news)
     }
+}
+
+fn as_count(bytes: usize) -> u64 {
+    u64::try_from(bytes).unwrap_or(u64::MAX)
 }
 
 impl Shares {
@@ -104,10 +159,8 @@ mod tests {
     use std::time::Duration;
 
     use bytes::Bytes;
-    use mom_net::Taken;
     use mom_proto::codec::Encoded;
     use mom_proto::{Limits, Time};
-    use mom_system::Clock;
     use mom_system::sync::atomic::AtomicU64;
 
     use super::super::tests::{data, pop, queue};
@@ -200,6 +253,51 @@ mod tests {
         assert_eq!(command(&mut queue), Taken::Yes);
         // It does not read what its owner says.
         assert_eq!(command(&mut queue), Taken::Overflow);
+    }
+
+    /// Of what others do: an eighth of what it reads before commands, a quarter of that behind them, and the rest not at all.
+    #[test]
+    fn little_of_others_goes_before_commands_and_not_much_behind_them() {
+        let clock = Clock::manual(Time::default());
+        let mut queue = queue(100_000);
+        queue.note_device(Some(20_000));
+        let control = Packet {
+            lane: Lane::Control,
+            ..note(&Memory::default().account(&"a".into()))
+        };
+        let joined = Arc::new(control);
+        let tell = |queue: &mut PeerQueue, count: usize, class: Delivery| {
+            let news = Arc::new(joined.as_news(class));
+            let taken = (0..count).map(|_| queue.push_news(Arc::clone(&joined), &news, &clock));
+            taken.filter(|taken| *taken == Taken::Yes).count()
+        };
+        let ahead = 10;
+        assert_eq!(tell(&mut queue, 50, Delivery::Fleeting), ahead + 5);
+        assert_eq!(queue.take_drops().values().sum::<u64>(), 35);
+        let gate = Arc::new(AtomicU64::new(7));
+        let command = Packet {
+            gate: Some((gate, 7)),
+            lane: Lane::Data(1000),
+            ..note(&Memory::default().account(&"b".into()))
+        };
+        assert_eq!(queue.push(Arc::new(command), &clock), Taken::Yes);
+        // What is made and deleted has half of the outbox, however slow the device is.
+        assert!((40..=50).contains(&tell(&mut queue, 200, Delivery::Reliable)));
+        let lanes = std::iter::from_fn(|| pop(&mut queue, 0));
+        let lanes: Vec<Lane> = lanes
+            .filter_map(|piece| piece.item().map(|packet| packet.lane))
+            .collect();
+        let (control, behind) = lanes.split_at(ahead);
+        assert!(control.iter().all(|lane| *lane == Lane::Control), "{lanes:?}");
+        assert_eq!(behind[0], Lane::Data(1000));
+        // As soon as none waits, and so much later as it has gone ahead of, there is room again.
+        clock.advance(Duration::from_secs(1));
+        assert_eq!(tell(&mut queue, 2, Delivery::Fleeting), 2);
+        let lanes = std::iter::from_fn(|| pop(&mut queue, 0));
+        let lanes: Vec<Lane> = lanes
+            .filter_map(|piece| piece.item().map(|packet| packet.lane))
+            .collect();
+        assert_eq!(lanes, [Lane::Control, Lane::Control]);
     }
 
     #[test]
