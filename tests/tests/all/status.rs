@@ -9,6 +9,7 @@ use mom_tests::lab;
 use mom_tests::linked::Linked;
 use mom_tests::programs::{program, text};
 use mom_tests::raw::at;
+use tokio::io::{AsyncBufReadExt as _, BufReader};
 use tokio::process::{Child, Command};
 use tokio::task::spawn_blocking;
 
@@ -52,7 +53,7 @@ async fn run(broker: &Broker) -> Child {
     let program = spawn_blocking(|| program("mom")).await.expect("it is built");
     let hub = format!("bin://{}", broker.local_addr());
     let mut command = Command::new(program);
-    command.args(["run", "-"]).kill_on_drop(true);
+    command.args(["run", "--json", "-"]).kill_on_drop(true);
     command.envs([
         ("MOM_HUB", &*hub),
         ("MOM_USER", "alice"),
@@ -109,13 +110,16 @@ async fn what_was_said_before_is_no_answer_to_a_command() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_run_ends_when_its_device_is_lost() {
     let (broker, mut arm) = lab_with(1).await;
-    let running = run(&broker).await;
+    let mut running = run(&broker).await;
     let command = arm.next_of(Family::Message, "command").await;
     arm.raw.send_parcel(&status(&command, "executing")).await;
-    // So that it is heard before the loss is.
-    let ping = Parcel::new(Family::Time, "ping").id(1);
-    arm.raw.send_parcel(&ping).await;
-    arm.next_of(Family::Time, "pong").await;
+    // Events overtake messages: only then does it know who the arm is.
+    let mut told = BufReader::new(running.stdout.take().expect("it is piped")).lines();
+    while let Some(line) = told.next_line().await.expect("it is text") {
+        if line.contains("executing") {
+            break;
+        }
+    }
     drop(arm);
     let done = running.wait_with_output().await.expect("it ends");
     let said = text(&done.stderr);

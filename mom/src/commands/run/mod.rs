@@ -277,6 +277,9 @@ impl Job {
             return;
         }
         self.newest = parcel.id.or(self.newest);
+        if !parcel.is_history() {
+            self.robot = parcel.sender.as_deref().map(str::to_owned).or(self.robot.take());
+        }
         if let Some(shown) = &mut self.shown
             && let Ok(state) = from_value::<ArmState>(parcel.value())
         {
