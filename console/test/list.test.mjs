@@ -100,6 +100,8 @@ test("chat: to all, to one, and to nobody who is here", () => {
     ["/ hi", "", { to: undefined, text: "/ hi" }],
   ]) assert.deepEqual(draftOf(draft, here, chosen), want, draft);
   assert.equal(textOf("<b>x</b>"), "<b>x</b>");
+  // What turns the direction of what others read is shown, and a line of its own stays one.
+  assert.equal(textOf("pay \u202e01\nnow"), "pay \\u{202e}01\nnow");
   assert.equal(textOf({ a: 1n }), '{"a":"1"}');
   let lines = [];
   for (let at = 0; at < 600; at += 1) lines = append(lines, { kind: "said", who: "a", text: "", mine: false, at, history: false, cut: false });

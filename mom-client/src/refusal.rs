@@ -136,14 +136,13 @@ impl fmt::Display for Refusal<'_> {
     }
 }
 
-/// `0.4 s`, `42 s`, `2 min 58 s`, `1 h 5 min`; rounded up, so that waiting this long is always enough.
+/// `0.4 s`, `1.1 s`, `42 s`, `2 min 58 s`, `1 h 5 min`; rounded up, so that waiting this long is always enough.
 pub fn plain_duration(duration: Duration) -> String {
-    if duration < Duration::from_secs(1) {
-        let tenths = duration.as_millis().div_ceil(100);
-        return match tenths {
-            0 => "0 s".to_owned(),
-            10 => "1 s".to_owned(),
-            _ => format!("0.{tenths} s"),
+    let tenths = duration.as_millis().div_ceil(100);
+    if tenths <= 100 {
+        return match tenths % 10 {
+            0 => format!("{} s", tenths / 10),
+            tenth => format!("{}.{tenth} s", tenths / 10),
         };
     }
     let seconds = duration
@@ -235,7 +234,10 @@ mod tests {
             (0, "0 s"),
             (1, "0.1 s"),
             (999, "1 s"),
-            (1001, "2 s"),
+            (1001, "1.1 s"),
+            (1100, "1.1 s"),
+            (9_901, "10 s"),
+            (10_001, "11 s"),
             (59_000, "59 s"),
             (59_001, "1 min"),
             (178_000, "2 min 58 s"),

@@ -37,6 +37,9 @@ export function visible(text: string): string {
   return text.replace(/[\u0000-\u001f\u007f-\u009f\u200e\u200f\u202a-\u202e\u2066-\u2069]/g, (letter) => (letter === "\n" ? "⏎" : letter === "\t" ? "⇥" : `\\u{${letter.codePointAt(0)!.toString(16)}}`));
 }
 
+/** The same of what may have several lines. */
+export const visibleLines = (text: string): string => text.split("\n").map(visible).join("\n");
+
 function write(value: Plain | undefined, budget: Budget, depth: number): string {
   if (budget.left <= 0) return "…";
   const spend = (text: string): string => {

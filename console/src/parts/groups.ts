@@ -1,5 +1,6 @@
 // Stops as a person reads them: who stopped what, since when and why.
 import { stop as t } from "../texts/control.js";
+import { visible } from "../hub/said.js";
 import type { StandingStop } from "../worker/protocol.js";
 
 /** Stops that one has said for one reason. */
@@ -15,7 +16,7 @@ export interface Group {
 export function groupsOf(stops: readonly StandingStop[]): Group[] {
   const groups = new Map<string, StandingStop[]>();
   for (const stop of stops) {
-    const words = t.standing(stop.by ?? t.somebody, stop.user, stop.reason);
+    const words = t.standing(stop.by ?? t.somebody, stop.user, stop.reason && visible(stop.reason));
     groups.set(words, [...(groups.get(words) ?? []), stop]);
   }
   return [...groups].map(([words, all]) => {

@@ -75,11 +75,25 @@ impl<I: Item> Again<I> {
         entry
     }
 
+    /// Where this item is.
+    pub(super) fn position(&self, item: &Arc<I>) -> Option<usize> {
+        self.iter().position(|entry| Arc::ptr_eq(&entry.item, item))
+    }
+
     /// Takes out this item.
     pub(super) fn remove(&mut self, item: &Arc<I>) -> Option<Entry<I>> {
+        self.replace(self.position(item)?, std::iter::empty())
+    }
+
+    /// Puts others into the place of an entry; gives it.
+    pub(super) fn replace(
+        &mut self,
+        at: usize,
+        others: impl DoubleEndedIterator<Item = Entry<I>>,
+    ) -> Option<Entry<I>> {
         let entries = self.0.as_mut()?;
-        let at = entries.iter().position(|entry| Arc::ptr_eq(&entry.item, item))?;
         let entry = entries.remove(at);
+        others.rev().for_each(|other| entries.insert(at, other));
         self.shrink();
         entry
     }

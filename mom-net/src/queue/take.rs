@@ -69,9 +69,8 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
     /// Puts others into the place of an item that is not ready and goes next of its lane; false if it is not there any
     /// more.
     pub fn replace_front(&mut self, item: &Arc<I>, others: Vec<Arc<I>>) -> bool {
-        let again = self.again.front();
-        if again.is_some_and(|front| Arc::ptr_eq(&front.item, item)) {
-            return self.replace_again(others);
+        if let Some(at) = self.again.position(item) {
+            return self.replace_again(at, others);
         }
         let Lane::Data(priority) = item.lane() else {
             return self.replace_control(item, others);
@@ -97,14 +96,12 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
         true
     }
 
-    fn replace_again(&mut self, others: Vec<Arc<I>>) -> bool {
-        let Some(entry) = self.again.pop() else {
-            return false;
-        };
-        self.leave(&entry.item);
-        for other in others.into_iter().rev() {
-            self.enter(&other);
-            self.again.push_front(Entry::new(other, AGAIN));
+    /// Control may go before data that stands before it there.
+    fn replace_again(&mut self, at: usize, others: Vec<Arc<I>>) -> bool {
+        others.iter().for_each(|other| self.enter(other));
+        let others = others.into_iter().map(|other| Entry::new(other, AGAIN));
+        if let Some(entry) = self.again.replace(at, others) {
+            self.leave(&entry.item);
         }
         true
     }

@@ -1,6 +1,6 @@
 //! `mom give`: grabs a token and gives it to another peer.
 
-use mom_client::{Given, Lapsed, Token, TokenGuard};
+use mom_client::{Client, Given, Lapsed, Token, TokenGuard};
 use serde_json::json;
 
 use super::grab::grab;
@@ -17,7 +17,11 @@ pub(crate) async fn run(args: &cli::GiveArgs, global: &GlobalArgs, output: Outpu
     let mut interrupt = Interrupt::install()?;
     let path = &args.path;
     let token = client.token(path).await.doing(format!("join {path}"))?;
-    let result = give(args, &token, &mut interrupt, output).await;
+    // Whoever drives is not interrupted for somebody who is not there.
+    let result = match look_for(&client, &token, &args.peer).await {
+        Ok(()) => give(args, &token, &mut interrupt, output).await,
+        absent => absent,
+    };
     client.close().await;
     result
 }
@@ -57,6 +61,23 @@ async fn give(
     match args.time.is_some() || args.commands.is_some() {
         true => wait_for_return(given, path, interrupt, output).await,
         false => Ok(()),
+    }
+}
+
+/// Fails if the peer is known not to be where the token is; the hub looks again when it is offered.
+async fn look_for(client: &Client, token: &Token, peer: &str) -> Result<(), Failure> {
+    let Some(above) = token.path().parent() else {
+        return Ok(());
+    };
+    match client.members(above.as_str()).await {
+        Ok(members) if !members.is_empty() && !members.iter().any(|member| member.peer == peer) => {
+            Err(Failure::new(
+                format!("{} is not in {above}; nothing was grabbed", words::visible(peer)),
+                format!("see who is there: mom tree {above}"),
+            ))
+        }
+        // Who may not ask hears it from the hub.
+        _ => Ok(()),
     }
 }
 

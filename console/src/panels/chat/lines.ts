@@ -1,4 +1,5 @@
 // The lines of a chat as data.
+import { visible, visibleLines } from "../../hub/said.js";
 import type { Plain } from "../../worker/protocol.js";
 
 export interface ChatLine {
@@ -24,9 +25,9 @@ export function append(lines: readonly ChatLine[], line: Omit<ChatLine, "key">):
 
 /** What somebody said, whatever it is. */
 export function textOf(content: Plain | undefined): string {
-  if (typeof content === "string") return content;
+  if (typeof content === "string") return visibleLines(content);
   if (content === undefined || content === null) return "";
-  return JSON.stringify(content, (_key, value: unknown) => (typeof value === "bigint" ? String(value) : value));
+  return visible(JSON.stringify(content, (_key, value: unknown) => (typeof value === "bigint" ? String(value) : value)));
 }
 
 export type Draft = { to: string | undefined; text: string } | { unknown: string };

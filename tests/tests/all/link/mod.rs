@@ -450,6 +450,41 @@ async fn two_connections_that_resume_do_not_share_the_link() {
     broker.stop().await;
 }
 
+/// Messages and events that were not read, and an event that is new, come in another form, the events in their order.
+#[tokio::test]
+async fn what_was_not_read_comes_in_another_form_with_what_is_new() {
+    for (first, then) in [(Form::Binary, Form::Json), (Form::Json, Form::Binary)] {
+        let (broker, alice, mut bob) = chatting(first).await;
+        let address = broker.local_addr();
+        for text in numbered(0..5) {
+            bob.send_parcel(&chat(&text)).await;
+        }
+        bob.check_alive().await;
+        let mut carol = Raw::login(address, Form::Json, "carol").await;
+        carol.join(&["/chat"]).await;
+        let link = lose(alice);
+        bob.next_of(Family::Event, "lost").await;
+        let leave = Parcel::new(Family::Context, "leave").context(at("/chat"));
+        carol.ask(leave).await.expect("she is there");
+        let (mut alice, _) = resume(&link, address, then).await;
+        alice.raw.send_parcel(&resent()).await;
+        let (mut said, mut events) = (Vec::new(), Vec::new());
+        while said.len() < 5 || events.len() < 2 {
+            let parcel = alice.next().await.expect("it goes on");
+            match parcel.name() {
+                "say" => said.push(parcel.value().as_str().unwrap_or_default().to_owned()),
+                name @ ("joined" | "left") => events.push(name.to_owned()),
+                _ => {}
+            }
+        }
+        assert_eq!(
+            (said, &*events),
+            (numbered(0..5), &["joined".to_owned(), "left".to_owned()][..])
+        );
+        broker.stop().await;
+    }
+}
+
 /// An answer that was under way for long is of a connection that its peer has given up: whoever goes on with the link stays.
 #[tokio::test]
 async fn a_late_answer_to_an_older_challenge_takes_nothing_over() {
