@@ -45,6 +45,7 @@ mod guard;
 mod guards;
 mod handover;
 mod holding;
+mod ids;
 mod info;
 mod inhibit;
 mod key;

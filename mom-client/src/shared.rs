@@ -15,8 +15,8 @@ use tokio::time::timeout;
 use crate::clock::HubClock;
 use crate::guards::Guards;
 use crate::handover::Handovers;
+use crate::ids;
 use crate::info::map_of;
-use crate::link::uptime;
 use crate::login::Welcome;
 use crate::outbox::{Capacity, Dropped, Entry, Follows, Message, Outbox};
 use crate::pending::{AnswerTo, OpenRequests};
@@ -103,19 +103,6 @@ pub(crate) enum Status {
     Closed(Option<WireError>),
 }
 
-/// The message that a device answers by its status.
-const COMMAND: &str = "command";
-
-/// Any id from the upper half of those that there are, with room for all that follow.
-fn any_id() -> u64 {
-    let mut bits = [0; 8];
-    // Without randomness the time since the system began is as good: what matters is that no other connection begins there.
-    if getrandom::fill(&mut bits).is_err() {
-        bits = uptime().to_le_bytes();
-    }
-    (1 << 52) | (u64::from_le_bytes(bits) >> 13)
-}
-
 impl Shared {
     pub(crate) fn new(
         settings: Settings,
@@ -148,7 +135,7 @@ impl Shared {
             form,
             state: Mutex::new(state),
             ids,
-            answered_ids: AtomicU64::new(any_id()),
+            answered_ids: AtomicU64::new(ids::any()),
             capacity: Semaphore::new(CAPACITY as usize),
             urgent_capacity: Semaphore::new(URGENT_CAPACITY as usize),
             ledger: Mutex::new(None),
@@ -170,9 +157,7 @@ impl Shared {
 
     /// The id of a parcel that is to be sent.
     fn id_of(&self, parcel: &Parcel) -> u64 {
-        let answered =
-            parcel.family == Family::Message && (parcel.name() == COMMAND || parcel.receipt == Some(true));
-        match answered {
+        match ids::is_answered(parcel) {
             true => self.answered_ids.fetch_add(1, Ordering::Relaxed),
             false => self.next_id(),
         }

@@ -72,7 +72,7 @@ impl What {
 
 /// Where it is told.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Place {
+enum At {
     In(ContextNumber),
     /// To a peer: who is asked, or the slowest device that hears of it, wherever it does.
     To(PeerId),
@@ -82,12 +82,12 @@ enum Place {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Told {
     what: What,
-    place: Place,
+    place: At,
     reads: Option<u32>,
 }
 
 impl Told {
-    fn new(what: What, place: Place) -> Told {
+    fn new(what: What, place: At) -> Told {
         Told {
             what,
             place,
@@ -99,7 +99,7 @@ impl Told {
     fn to(self, slowest: Option<Slowest>) -> Told {
         match slowest {
             Some(Slowest { reads, peer }) => Told {
-                place: Place::To(peer),
+                place: At::To(peer),
                 reads: Some(reads),
                 ..self
             },
@@ -137,7 +137,7 @@ impl Terms {
 #[derive(Debug, Default)]
 pub(crate) struct TellPace {
     /// When each is paid back.
-    of: BTreeMap<(What, Place, Arc<str>), Micros>,
+    of: BTreeMap<(What, At, Arc<str>), Micros>,
     /// Entries that were left when it was last looked through.
     left: usize,
 }
@@ -228,7 +228,7 @@ impl World {
     pub(crate) fn count_change(&mut self, peer: PeerId, token: ContextNumber) {
         if let Some(user) = self.user_of(peer) {
             let told = self.hearers(token, &user);
-            let told = told.unwrap_or(Told::new(What::Owner, Place::In(token)));
+            let told = told.unwrap_or(Told::new(What::Owner, At::In(token)));
             // One that is not refused any more is too many for the next.
             let _ = self.tell_pace.take(told, &user, self.now);
         }
@@ -236,7 +236,7 @@ impl World {
 
     /// Whether it is told by name that a user comes to a context, or leaves it.
     pub(crate) fn count_presence(&mut self, number: ContextNumber, user: &Arc<str>) -> Result<(), TooOften> {
-        let told = Told::new(What::Presence, Place::In(number));
+        let told = Told::new(What::Presence, At::In(number));
         self.tell_pace.take(told, user, self.now)
     }
 
@@ -253,7 +253,7 @@ impl World {
     /// # Errors
     /// It was one too many.
     pub(crate) fn count_unstop(&mut self, peer: PeerId, number: ContextNumber) -> Result<(), WireError> {
-        let told = Told::new(What::Unstop, Place::In(number)).to(self.slowest_of(self.members(number)));
+        let told = Told::new(What::Unstop, At::In(number)).to(self.slowest_of(self.members(number)));
         self.count(peer, told, "lifts stops here")
     }
 
@@ -262,7 +262,7 @@ impl World {
     /// # Errors
     /// It was one too many.
     pub(crate) fn count_wish(&mut self, peer: PeerId, to: PeerId) -> Result<(), WireError> {
-        self.count(peer, Told::new(What::Wish, Place::To(to)), "asks this peer")
+        self.count(peer, Told::new(What::Wish, At::To(to)), "asks this peer")
     }
 
     fn count(&mut self, peer: PeerId, told: Told, words: &str) -> Result<(), WireError> {
@@ -290,7 +290,7 @@ impl World {
         };
         let matter: Vec<PeerId> = peers.filter(matters).collect();
         let slowest = self.slowest_of(matter.iter().copied());
-        (!matter.is_empty()).then(|| Told::new(What::Owner, Place::In(token)).to(slowest))
+        (!matter.is_empty()).then(|| Told::new(What::Owner, At::In(token)).to(slowest))
     }
 
     fn members(&self, number: ContextNumber) -> impl Iterator<Item = PeerId> {
@@ -320,7 +320,7 @@ mod tests {
     fn told(what: What, reads: Option<u32>) -> Told {
         Told {
             reads,
-            ..Told::new(what, Place::In(ContextNumber(1)))
+            ..Told::new(what, At::In(ContextNumber(1)))
         }
     }
 

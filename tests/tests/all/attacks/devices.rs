@@ -425,25 +425,8 @@ async fn nobody_has_an_owner_hear_of_each_of_many_that_are_gone() {
     broker.stop().await;
 }
 
-/// Whatever others do where a slow device is, and however long its names are: of that no more than the hub lets go ahead comes before the
-/// owner's commands, the device is not closed for it, and it hears that it has missed some.
-#[tokio::test]
-async fn what_others_do_comes_behind_the_owners_commands() {
-    let hall = Map::new().with("path", "/hall").with("kind", "session");
-    let (broker, address) = start_with(|config| {
-        let mut contexts = config.contexts.iter_mut();
-        let arm = contexts.find(|spec| spec.path.as_deref() == Some(ARM));
-        arm.expect("the arm's channel").pace = Some(6000);
-        config.limits.outbox = 256 << 10;
-        config.contexts.push(from_value(hall.into()).expect("a context"));
-    })
-    .await;
-    let mut robot = robot(address).await;
-    robot.join(&["/hall"]).await;
-    let mut operator = member(address, "alice").await;
-    let fence = own(&mut operator).await;
-    let mut bob = member(address, "bob").await;
-    bob.join(&["/hall"]).await;
+/// Makes and deletes in a hall, asks the arm as a chair there, comes and goes; gives who is still there.
+async fn do_much(bob: &mut Raw, address: SocketAddr) -> Vec<Raw> {
     let about = |family, name: &str, path: &str, content: Map| {
         let parcel = Parcel::new(family, name).context(at(path));
         parcel.content(content)
@@ -483,6 +466,29 @@ async fn what_others_do_comes_behind_the_owners_commands() {
         }
         ghosts.push(ghost);
     }
+    ghosts
+}
+
+/// Whatever others do where a slow device is, and however long its names are: of that no more than the hub lets go ahead comes before the
+/// owner's commands, the device is not closed for it, and it hears that it has missed some.
+#[tokio::test]
+async fn what_others_do_comes_behind_the_owners_commands() {
+    let hall = Map::new().with("path", "/hall").with("kind", "session");
+    let (broker, address) = start_with(|config| {
+        let mut contexts = config.contexts.iter_mut();
+        let arm = contexts.find(|spec| spec.path.as_deref() == Some(ARM));
+        arm.expect("the arm's channel").pace = Some(6000);
+        config.limits.outbox = 256 << 10;
+        config.contexts.push(from_value(hall.into()).expect("a context"));
+    })
+    .await;
+    let mut robot = robot(address).await;
+    robot.join(&["/hall"]).await;
+    let mut operator = member(address, "alice").await;
+    let fence = own(&mut operator).await;
+    let mut bob = member(address, "bob").await;
+    bob.join(&["/hall"]).await;
+    let ghosts = do_much(&mut bob, address).await;
     operator.ask(command(fence, 1)).await.expect("it is taken");
     let (mut ahead, mut bytes) = (0, 0);
     loop {
