@@ -276,8 +276,8 @@ mod tests {
                 of: 2,
                 ..StatusChange::to(CommandState::Finished)
             },
-            "[2/3] finished in 5 s: home; grip close",
-            Some("ok     2  home; grip close  5 s"),
+            "[2/3] finished in 4.1 s: home; grip close",
+            Some("ok     2  home; grip close  4.1 s"),
             r#"{"command":2,"line":7,"text":"home; grip close","state":"finished","statement":2,"of":2,"took":4100}"#,
         );
         let error = Map::new()
