@@ -3,7 +3,9 @@
 use mom_proto::codec::Form;
 use mom_proto::{Code, Family, Parcel};
 use mom_tests::linked::Link;
+use mom_tests::programs::PATIENCE;
 use mom_tests::raw::{Raw, at};
+use tokio::time::timeout;
 
 use super::{chat, chatting, lose, numbered, resent, resume, texts};
 
@@ -27,7 +29,8 @@ async fn what_was_not_read_comes_in_another_form_with_what_is_new() {
         alice.raw.send_parcel(&resent()).await;
         let (mut said, mut events) = (Vec::new(), Vec::new());
         while said.len() < 5 || events.len() < 2 {
-            let parcel = alice.next().await.expect("it goes on");
+            let parcel = timeout(PATIENCE, alice.next()).await;
+            let parcel = parcel.expect("more comes").expect("it goes on");
             match parcel.name() {
                 "say" => said.push(parcel.value().as_str().unwrap_or_default().to_owned()),
                 name @ ("joined" | "left") => events.push(name.to_owned()),
