@@ -1,7 +1,10 @@
 // Driving, as a person does it: against a lab, in a browser.
 import assert from "node:assert/strict";
 import { after, before, beforeEach, test } from "node:test";
-import { letGo, start } from "./lab.mjs";
+import { letGo, stands, start } from "./lab.mjs";
+
+/** Of the lab. */
+const CHANNELS = 10;
 
 let lab;
 let alice;
@@ -45,9 +48,15 @@ async function add(page, text) {
   await line(page).press("Enter");
 }
 
-/** Waits until a locator's text fits. */
+/** Waits until a locator's text fits; a failure tells what it says instead, and what the page has noted. */
 async function says(locator, pattern) {
-  await locator.filter({ hasText: pattern }).first().waitFor({ timeout: 20_000 });
+  try {
+    await locator.filter({ hasText: pattern }).first().waitFor({ timeout: 20_000 });
+  } catch (error) {
+    const texts = await locator.allInnerTexts();
+    const notes = await locator.page().locator("mom-notices li, mom-stopped li, mom-token p, .refusal").allInnerTexts();
+    throw new Error(`not ${pattern}: ${JSON.stringify(texts)}; noted: ${JSON.stringify(notes)}`, { cause: error });
+  }
 }
 
 test("a list of three commands is sent, and each goes through its states", async () => {
@@ -62,7 +71,7 @@ test("a list of three commands is sent, and each goes through its states", async
   await alice.waitForFunction(() => document.querySelector("mom-console").shadowRoot.querySelector("mom-drive").shadowRoot.querySelector("mom-commands").shadowRoot.querySelectorAll("li.finished").length === 3, null, { timeout: 30_000 });
   const seen = await alice.evaluate(() => [...window.seen]);
   for (const word of ["waiting", "executing 1 of 3", "executing 3 of 3", "finished"]) assert.ok(seen.includes(word), `${word}: ${seen}`);
-  await says(commands(alice).locator(".pose"), /300\.0/);
+  await says(commands(alice).locator(".pose"), /x 0\.0 mm/);
   await commands(alice).getByRole("button", { name: "Clear finished" }).click();
   assert.equal(await commands(alice).locator("li").count(), 0);
 });
@@ -344,7 +353,21 @@ test("objects are seen, and the lab is reset after a question", async () => {
   for (const name of ["red", "green", "blue"]) await objects.locator("tbody tr").filter({ hasText: name }).waitFor({ timeout: 20_000 });
   await objects.getByRole("button", { name: "Reset the lab…" }).click();
   await objects.getByRole("dialog").getByRole("button", { name: "Reset", exact: true }).click();
-  await says(commands(alice).locator(".pose"), /x 0\.0 mm y 0\.0 mm z 300\.0|300\.0/);
+  await says(commands(alice).locator(".pose"), /x\s*0\.0 mm\s*y\s*0\.0 mm\s*z\s*300\.0 mm/);
+});
+
+test("a reset that the arm would refuse says why", async () => {
+  const objects = alice.locator("mom-objects");
+  await alice.locator("mom-stop").getByRole("button", { name: /^STOP/ }).click();
+  await stands(alice, CHANNELS);
+  await says(commands(alice), "The device is stopped");
+  await objects.getByRole("button", { name: "Reset the lab…" }).click();
+  await objects.getByRole("dialog").getByRole("button", { name: "Reset", exact: true }).click();
+  await says(objects.locator(".refusal"), "let it go first");
+  await letGo(alice);
+  await objects.getByRole("button", { name: "Reset the lab…" }).click();
+  await objects.getByRole("dialog").getByRole("button", { name: "Reset", exact: true }).click();
+  await objects.locator(".refusal").waitFor({ state: "detached" });
 });
 
 test("what is said in the chat is text, whatever it looks like", async (t) => {

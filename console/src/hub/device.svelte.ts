@@ -1,7 +1,7 @@
 // A device as the page knows it: its newest state and how old that is, and what became of its commands.
 import type { Failure, HubEvent, Message, PlainFields } from "../worker/protocol.js";
 import { type Rest, restOf, unreachedSince } from "../worker/rest.js";
-import { HubError, failureOf } from "./failure.js";
+import { HubError } from "./failure.js";
 import { fields, flag, list, number, text } from "./fields.js";
 import type { Hub } from "./hub.svelte.js";
 import { Teller } from "./teller.svelte.js";
@@ -169,17 +169,5 @@ export class DeviceState {
     });
     if (sent.delivered === 0) throw new HubError({ kind: "local", code: "no-answer", text: `nobody is in ${this.path} who could obey`, content: {} });
     return sent.id;
-  }
-
-  /** The same; what fails is noted. */
-  async tell(script: string): Promise<Failure | null> {
-    try {
-      await this.command(script, { relative: /(^|[;\n])\s*(by|turn)\b/.test(script) });
-      return null;
-    } catch (error) {
-      const failure = failureOf(error);
-      this.hub.note("error", failure.text, failure);
-      return failure;
-    }
   }
 }

@@ -56,6 +56,7 @@ export const commands = {
   noDevice: "Nothing is known of this device yet.",
   noToken: (token: string) => `Grab ${token} first: only its owner sends commands.`,
   stopped: "The device is stopped: let it go first.",
+  underWay: "A command of the list is under way: try again when it has ended.",
   stopOrdered: "STOP was pressed.",
   linkLost: "The link to the hub was lost.",
   tokenLost: "You do not hold the token any more.",

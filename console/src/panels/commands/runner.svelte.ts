@@ -13,6 +13,9 @@ const ANSWER = 10_000;
 const STANDING = 60_000;
 const MOMENT = 300;
 
+/** The key of a command that is in no list. */
+const NO_KEY = -1;
+
 const t = texts.commands;
 
 /** Waits until something is there, undefined after so many ms. */
@@ -163,19 +166,34 @@ export class CommandList {
     return false;
   }
 
-  async #run(what: "all" | "one", following: () => Item | undefined): Promise<void> {
-    if (this.running || this.hindrance !== undefined) return;
-    [this.running, this.pausing, this.halted, this.#lost] = [what, false, undefined, undefined];
-    const fence = this.hub.owned.get(this.device.token ?? "")?.fence;
-    const ordered = this.hub.stopsOrdered(this.path);
-    /** Why nothing more may be sent. */
-    const over = (): string | undefined => {
-      const { hub, device } = this;
+  /** Sends one that is in no list, unless one of the list is under way; why it failed, null if it has finished. */
+  async once(text: string): Promise<Failure | null> {
+    const hindered = this.running ? t.underWay : this.hindrance;
+    if (hindered !== undefined) return local("hindered", hindered);
+    [this.running, this.pausing, this.halted, this.#lost] = ["one", false, undefined, undefined];
+    const failure = await this.#carryOut({ key: NO_KEY, text }, this.#over());
+    [this.running, this.pausing] = [undefined, false];
+    this.#rest();
+    return failure;
+  }
+
+  /** Tells from now on why nothing more may be sent. */
+  #over(): () => string | undefined {
+    const { hub, device } = this;
+    const fence = hub.owned.get(device.token ?? "")?.fence;
+    const ordered = hub.stopsOrdered(this.path);
+    return () => {
       if (hub.stopsOrdered(this.path) !== ordered) return t.stopOrdered;
       if (hub.link.state !== "connected" && hub.link.state !== "stale") return t.linkLost;
       if (hub.owned.get(device.token ?? "")?.fence !== fence) return this.#lost ?? t.tokenLost;
       return undefined;
     };
+  }
+
+  async #run(what: "all" | "one", following: () => Item | undefined): Promise<void> {
+    if (this.running || this.hindrance !== undefined) return;
+    [this.running, this.pausing, this.halted, this.#lost] = [what, false, undefined, undefined];
+    const over = this.#over();
     let first = true;
     for (let item = following(); item; item = following()) {
       if (!first && this.between > 0) await until(over, this.between);
@@ -187,7 +205,7 @@ export class CommandList {
       }
       // It may have been removed meanwhile.
       if (!this.items.some(({ key }) => key === item!.key)) continue;
-      if (!(await this.#carryOut(item, over))) {
+      if (await this.#carryOut(item, over)) {
         this.halted = this.items.some(({ state }) => state === "waiting") ? (over() ?? t.failed) : over();
         break;
       }
@@ -196,8 +214,8 @@ export class CommandList {
     this.#rest();
   }
 
-  /** One command to its end, tried again where that is sure to help; whether it has finished. */
-  async #carryOut({ key, text }: Item, over: () => string | undefined): Promise<boolean> {
+  /** One command to its end, tried again where that is sure to help; why it failed, null if it has finished. */
+  async #carryOut({ key, text }: Pick<Item, "key" | "text">, over: () => string | undefined): Promise<Failure | null> {
     const begun = performance.now();
     for (;;) {
       this.#progress(key, { state: "sending", error: undefined, statement: 0, of: 0, took: undefined });
@@ -205,13 +223,13 @@ export class CommandList {
       const took = performance.now() - begun;
       if (!failure) {
         this.#progress(key, { state: "finished", trying: undefined, took });
-        return true;
+        return null;
       }
       const waits = took < STANDING && over() === undefined ? obstacle(failure) : undefined;
       if (waits === undefined || !(await this.#wait(key, failure, waits, over))) {
         this.#progress(key, { state: "error", error: failure, trying: undefined, took });
         this.hub.note("error", t.noted(this.path, text, failure.text), failure);
-        return false;
+        return failure;
       }
     }
   }
