@@ -94,7 +94,7 @@ export class Client {
 
   /** What ends this peer from elsewhere ({@link endPeer}), if its login asked for a link. It is a secret. */
   get credential(): LinkCredential | null {
-    const { id, secret } = this.peer.credential ?? {};
+    const { id, secret } = this.peer.link ?? {};
     return id !== undefined && secret ? { id, secret } : null;
   }
 

@@ -1,5 +1,5 @@
 // Attempts to reach the hub, over whichever door opens.
-import { doorsOf, isPrivate, shown } from "./address.js";
+import { type Door, doorsOf, isPrivate, shown } from "./address.js";
 import { MomError, disconnected, local } from "./error.js";
 import { type Link, type NextId, type Resumed, type Welcome, credentials, logIn, resume, sign } from "./login.js";
 import type { ConnectOptions, Proof } from "./options.js";
@@ -10,6 +10,8 @@ import { type Wire, connectWire } from "./wire.js";
 
 const FIRST_WAIT = 100;
 const LONGEST_WAIT = 30_000;
+/** So long before the end of the grace time the last attempt of a resume begins, at most. */
+const LAST_ATTEMPT = 500;
 
 /** The door that worked last, by address: it is tried first. */
 const worked = new Map<string, string>();
@@ -30,6 +32,8 @@ export class Connector {
   /** Numbers of contexts hold over the connections of a link. */
   readonly numbers = new Map<number, string>();
   readonly #ended = new AbortController();
+  /** A WebSocket has opened and come to nothing, so a tunnel that has worked has its turn. */
+  #tunnelFirst = false;
 
   constructor(
     readonly address: string,
@@ -63,12 +67,57 @@ export class Connector {
     return new Attempts(within, this.#ended.signal);
   }
 
+  /** All doors, the one that worked last first; but the WebSocket beside a tunnel goes before it, or one failure would be for good. */
+  #doors(): Door[] {
+    const doors = doorsOf(this.address, isSecret(this.options), globalThis.location?.protocol === "https:");
+    const known = worked.get(this.address) ?? "";
+    const best = this.#tunnelFirst ? known : known.replace(/^http/, "ws");
+    const rank = (door: Door): number => (shown(door) === best ? 2 : Number(shown(door) === known));
+    return doors.sort((a, b) => rank(b) - rank(a));
+  }
+
+  /** The WebSockets to which a link may move: as private as the tunnel that it is on. */
+  #better(): Door[] {
+    return this.#doors().filter((door) => door.kind === "websocket" && isPrivate(door));
+  }
+
+  /** Whether a better door than this one is to be looked for. */
+  isSecondBest({ kind }: Door): boolean {
+    return kind === "tunnel" && this.options.seekWebSocket !== 0 && this.#make !== undefined && this.#better().length > 0;
+  }
+
+  get #make(): WebSocketClass | undefined {
+    return this.options.webSocket ?? (globalThis.WebSocket as WebSocketClass | undefined);
+  }
+
   /** One attempt, within its time: a link is resumed; if it cannot be, it is lost and a login follows. */
-  async connect(link: Link | null, read: number, notResumed: () => void): Promise<Connected> {
-    const secret = isSecret(this.options);
-    const doors = doorsOf(this.address, secret, globalThis.location?.protocol === "https:");
-    const first = worked.get(this.address);
-    doors.sort((a, b) => Number(shown(b) === first) - Number(shown(a) === first));
+  connect(link: Link | null, read: number, notResumed: () => void): Promise<Connected> {
+    return this.#attempt(this.#doors(), async (wire) => {
+      const secret = isSecret(this.options);
+      if (secret && !isPrivate(wire.pipe.door)) throw local("insecure", "others could read this door");
+      const resumed = link && (await this.#resume(wire, link, read));
+      if (link && !resumed) {
+        notResumed();
+        wire.numbers.clear();
+      }
+      const welcome = resumed ? null : await logIn(wire, this.options, this.nextId);
+      return this.#through({ wire, resumed, welcome });
+    });
+  }
+
+  /** Goes on with a link over a WebSocket, if one opens and carries an answer; `read` is asked for last. Null if the hub does not. */
+  move(link: Link, read: () => Promise<number>): Promise<Connected | null> {
+    return this.#attempt(this.#better(), async (wire) => {
+      wire.post({ family: "time", name: "ping", id: this.nextId() });
+      while ((await wire.next()).name !== "pong");
+      const resumed = await this.#resume(wire, link, read);
+      if (resumed) return this.#through({ wire, resumed, welcome: null });
+      wire.drop();
+      return null;
+    });
+  }
+
+  async #attempt<T>(doors: Door[], enter: (wire: Wire) => Promise<T>): Promise<T> {
     const attempt = new AbortController();
     const stop = attempt.signal;
     const late = disconnected("the hub did not answer the login in time");
@@ -76,14 +125,14 @@ export class Connector {
     const end = (): void => attempt.abort();
     this.#ended.signal.addEventListener("abort", end);
     if (this.#ended.signal.aborted) end();
-    const make = this.options.webSocket ?? (globalThis.WebSocket as WebSocketClass | undefined);
     let wire: Wire | null = null;
     stop.addEventListener("abort", () => wire?.drop());
     try {
-      wire = await connectWire(doors, make, {}, stop, this.options.stagger);
-      return await this.#enter(wire, secret, link, read, notResumed);
+      wire = await connectWire(doors, this.#make, {}, stop, this.options.stagger);
+      return await enter(wire);
     } catch (error) {
       wire?.drop();
+      this.#tunnelFirst = wire?.pipe.door.kind === "websocket" && (error as MomError).kind === "connection";
       throw wire && stop.reason === late ? late : error;
     } finally {
       clearTimeout(timer);
@@ -91,18 +140,18 @@ export class Connector {
     }
   }
 
-  async #enter(wire: Wire, secret: boolean, link: Link | null, read: number, notResumed: () => void): Promise<Connected> {
-    if (secret && !isPrivate(wire.pipe.door)) throw local("insecure", "others could read this door");
-    if (link) for (const [number, path] of this.numbers) wire.numbers.set(number, path);
-    const resumed = link ? await resume(wire, link, read, this.nextId) : null;
-    if (link && !resumed) {
-      notResumed();
-      wire.numbers.clear();
-    }
-    const welcome = resumed ? null : await logIn(wire, this.options, this.nextId);
+  #resume(wire: Wire, link: Link, read: number | (() => Promise<number>)): Promise<Resumed | null> {
+    for (const [number, path] of this.numbers) wire.numbers.set(number, path);
+    return resume(wire, link, read, this.nextId);
+  }
+
+  /** This door leads to the hub. */
+  #through(connected: Connected): Connected {
+    const { wire } = connected;
     wire.numbers = this.#keep(wire.numbers);
     worked.set(this.address, shown(wire.pipe.door));
-    return { wire, resumed, welcome };
+    this.#tunnelFirst = false;
+    return connected;
   }
 
   #keep(numbers: Map<number, string>): Map<number, string> {
@@ -129,10 +178,20 @@ export class Attempts {
     if (passed >= this.within) throw disconnected(`given up after ${Math.round(passed)} ms: ${error.text}`);
   }
 
-  /** Waits, but no less than the hub asked for; a network that comes back ends it. */
-  async wait(error: MomError | undefined): Promise<void> {
-    const wait = Math.max(Math.random() * this.#bound, error?.retryAfter ?? 0);
+  /**
+   * How long to wait, but no less than the hub asked for. While a link can be resumed, which is for `left` ms of its grace time, several
+   * attempts fall into that, and the last of them just before its end.
+   */
+  next(error: MomError | undefined, grace = 0, left = 0): number {
+    const last = left - Math.min(LAST_ATTEMPT, grace / 8);
+    const bound = last > 0 ? Math.min(this.#bound, grace / 4) : this.#bound;
     this.#bound = Math.min(2 * this.#bound, LONGEST_WAIT);
+    return Math.max(Math.min(Math.random() * bound, last > 0 ? last : Infinity), error?.retryAfter ?? 0);
+  }
+
+  /** Waits; a network that comes back ends it. */
+  async wait(error: MomError | undefined, grace?: number, left?: number): Promise<void> {
+    const wait = this.next(error, grace, left);
     await new Promise<void>((resolve) => {
       const wake = (): void => {
         clearTimeout(timer);

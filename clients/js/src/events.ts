@@ -184,7 +184,7 @@ export class Subscribers {
   ) {}
 
   #queue(most: number, ends: (queue: Events) => void): Events {
-    return new Queue<Event>(most, (count) => ({ type: "lagged", count }), ends, this.skips, ofStops);
+    return new Queue<Event>(most, (count) => ({ type: "lagged", count }), ends, this.skips, ofStops, (event) => (event.type === "message" ? (event.parcel.size ?? 0) : 0));
   }
 
   /** Keeps what comes from now on for the first subscriber, unless there is one. */

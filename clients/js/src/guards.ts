@@ -108,6 +108,11 @@ export class Guards {
     return hold;
   }
 
+  /** Whether there is none. */
+  get isEmpty(): boolean {
+    return this.#owned.size + this.#shared.size === 0;
+  }
+
   owned(path: string): Hold | undefined {
     return this.#owned.get(path);
   }

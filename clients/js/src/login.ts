@@ -111,12 +111,13 @@ export interface Resumed {
   content: Fields;
 }
 
-/** Resumes a link; null if the hub does not, and a login may follow. */
-export async function resume(wire: Wire, link: Link, read: number, nextId: NextId): Promise<Resumed | null> {
+/** Resumes a link; null if the hub does not, and a login may follow. How much was read may be asked for when it is to be said. */
+export async function resume(wire: Wire, link: Link, read: number | (() => Promise<number>), nextId: NextId): Promise<Resumed | null> {
   try {
     const { hub, nonce } = challenge(await ask(wire, nextId, "resume", { link: link.id }), LINK);
     const proof = hmac(link.secret, join(utf8(LINK), ZERO, utf8(hub), ZERO, utf8(link.id), ZERO, nonce));
-    const content = fieldsOf((await ask(wire, nextId, "answer", { proof, read })).content);
+    const said = typeof read === "number" ? read : await read();
+    const content = fieldsOf((await ask(wire, nextId, "answer", { proof, read: said })).content);
     return content["resumed"] === true ? { read: int(content, "read") ?? -1, content } : null;
   } catch (error) {
     // Others than `not-resumed` are those of a hub that knows no links, or not this one: a login says more.

@@ -8,7 +8,10 @@ export interface Proof {
   password?: string;
   /** A key of the user's, for devices. It is taken from anywhere, since no secret travels. */
   key?: Key;
-  /** A token (JWT) of an issuer that the hub trusts, or what gives one, which is asked at each login. It is sent where a password is. */
+  /**
+   * A token (JWT) of an issuer that the hub trusts, or what gives one, which is asked at each login. It is sent where a password is. What that throws at
+   * first `connect` throws, too; at a later login the attempt has failed, which the state tells, and is made again.
+   */
   token?: string | (() => string | Promise<string>);
   /** Log in as a guest, where the hub lets them in. */
   guest?: boolean;
@@ -34,6 +37,8 @@ export interface ConnectOptions extends Proof {
   connectTimeout?: number;
   /** ms after which the next door is tried as well; 250. */
   stagger?: number;
+  /** On the tunnel: ms until a WebSocket is tried again, then twice as long each time, 5 min at most; 5 s, and 0 for never. */
+  seekWebSocket?: number;
   /** ms after which the first connection is given up if no attempt succeeds; 60 s. */
   connectWithin?: number;
   /** ms after which a lost connection is given up; never unless said. */

@@ -251,13 +251,13 @@ export class Outbox {
     this.#settle();
   }
 
-  /** The connection is lost: what was half sent begins anew, and what must not be sent late is dropped. */
-  lose(): void {
+  /** The connection is lost: what was half sent begins anew, and what must not be sent late is dropped, unless it has `moved`. */
+  lose(moved = false): void {
     this.#away = true;
     for (const entry of this.#open) entry.at = 0;
     this.#open.clear();
     [this.#streams, this.#aborted] = [0, []];
-    for (const entry of this.take((waiting) => waiting.perishable)) if (entry.parcel.family !== "time") this.lost(entry, "lost");
+    if (!moved) for (const entry of this.take((waiting) => waiting.perishable)) if (entry.parcel.family !== "time") this.lost(entry, "lost");
   }
 
   /** There is a connection again: what had left and was not read goes again, before all that waits, and `mark` behind it. */

@@ -32,6 +32,8 @@ export interface Parcel {
   extra?: { [key: string]: Value } | Map<string, Value>;
   /** The number of the context, where the hub gave one. */
   number?: number;
+  /** How many bytes it had, of one that was heard. */
+  size?: number;
   /** Why the content cannot be read: the hub passes on what it was given. */
   fault?: MomError;
 }

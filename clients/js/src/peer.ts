@@ -1,7 +1,7 @@
 // One peer: what it wants and knows, over one connection after another.
 import { shown } from "./address.js";
 import { HubClock } from "./clock.js";
-import { Connector } from "./connector.js";
+import { type Connected, Connector } from "./connector.js";
 import { MomError, disconnected, dropped } from "./error.js";
 import { type Event, type Events, type MessageEvent, Subscribers, eventOf } from "./events.js";
 import { Guards, type Hold } from "./guards.js";
@@ -13,7 +13,8 @@ import { type Entry, Outbox } from "./outbox.js";
 import type { Parcel } from "./parcel.js";
 import { Pending } from "./pending.js";
 import { type Place, Places, guardOf, wayTo } from "./places.js";
-import { MOST_PRIORITY } from "./precedence.js";
+import { Mover } from "./move.js";
+import { MOST_PRIORITY, STOP } from "./precedence.js";
 import { Queue } from "./queue.js";
 import { type Fields, Time, fieldsOf, int, wallMicros } from "./value.js";
 import type { Wire } from "./wire.js";
@@ -40,13 +41,15 @@ export class Peer {
   readonly onGrabbed = new Map<string, (grant: Fields) => boolean>();
   readonly outbox = new Outbox((entry, reason) => this.#dropped(entry, reason));
   readonly connector: Connector;
+  readonly #mover = new Mover(this);
   readonly #states = new Set<Queue<LinkState>>();
-  #link: Link | null = null;
-  #ledger = new Ledger();
-  #wire: Wire | null = null;
+  /** What resumes the link. */
+  link: Link | null = null;
+  ledger = new Ledger();
+  wire: Wire | null = null;
   /** The hub's reason for closing. */
   #closing: MomError | null = null;
-  #ending = false;
+  isEnding = false;
   #lastId = 0;
   /** Of messages that a receiver answers: begun anywhere, so that no status of another connection of this name, and none that a channel has kept, is the answer to one. */
   #lastAnswered = 2 ** 52 + Math.floor(Math.random() * 2 ** 51);
@@ -54,9 +57,15 @@ export class Peer {
   #pinged = 0;
   /** When the hub was last told that this peer is there. */
   #spoke = 0;
+  /** How much was sent when the hub was asked what it has read. */
+  #asked = -1;
   #sentTo = new Map<number, string>();
   #graceOver: ReturnType<typeof setTimeout> | undefined;
-  #endServing: (why: string) => void = () => undefined;
+  /** When the hub gives this peer up. */
+  #graceEnd = 0;
+  /** Serves the connection to which the link has moved. */
+  #moved: (() => Promise<string>) | null = null;
+  endServing: (why: string) => void = () => undefined;
   #noteClosed: () => void = () => undefined;
   /** Fulfilled when it is closed for good. */
   readonly closed = new Promise<void>((resolve) => (this.#noteClosed = resolve));
@@ -65,9 +74,8 @@ export class Peer {
     check(options);
     this.subscribers = new Subscribers(options.eventBuffer ?? 4096, (event) => this.#isOver(event));
     this.connector = new Connector(address, options, () => ++this.#lastId);
-    this.outbox.wrote = (entry) => this.#link && this.#ledger.wrote(entry);
-    // What is not known to be read is kept, and has the same bound as at the hub; a stop does not wait for that.
-    this.outbox.permits = (entry) => entry.lane > MOST_PRIORITY || !this.#ledger.bytes || this.#ledger.bytes + entry.frame.length <= this.outbox.most;
+    this.outbox.wrote = (entry) => this.link && this.ledger.wrote(entry);
+    this.outbox.permits = (entry) => entry.lane === STOP || (!this.#mover.holding && this.#permits(entry));
   }
 
   // The life of the link.
@@ -86,18 +94,22 @@ export class Peer {
   async #live(first: () => Promise<string>): Promise<void> {
     for (let serve = first; ; ) {
       const why = await serve();
+      if (this.#moved) {
+        [serve, this.#moved] = [this.#moved, null];
+        continue;
+      }
       const closing = this.#closing;
-      this.#wire = null;
+      this.wire = null;
       this.outbox.lose();
-      if (this.#ending || (closing && !closing.mayReconnect)) return this.#close(this.#ending ? null : closing);
+      if (this.isEnding || (closing && !closing.mayReconnect)) return this.#close(this.isEnding ? null : closing);
       const lost = closing ?? disconnected(why);
-      if (closing || !this.#link) this.#lose(lost);
-      else this.#waitForGrace(this.#link.grace, lost);
+      if (closing || !this.link) this.#lose(lost);
+      else this.#waitForGrace(this.link.grace, lost);
       if (this.options.reconnect === false) return this.#close(lost);
       try {
         serve = await this.#connect(this.options.giveUpAfter ?? Infinity, lost);
       } catch (error) {
-        return this.#close(this.#ending ? null : (error as MomError));
+        return this.#close(this.isEnding ? null : (error as MomError));
       }
     }
   }
@@ -105,6 +117,7 @@ export class Peer {
   /** After that time the hub has given this peer up. */
   #waitForGrace(grace: number, lost: MomError): void {
     clearTimeout(this.#graceOver);
+    this.#graceEnd = performance.now() + grace;
     this.#graceOver = setTimeout(() => this.#lose(lost), Math.min(grace, 2 ** 31 - 1));
   }
 
@@ -114,22 +127,24 @@ export class Peer {
     let error = lost;
     for (let attempt = 0; ; attempt++) {
       if (attempt > 0 || lost) {
-        const state = this.#link ? "resuming" : "trying";
+        const state = this.link ? "resuming" : "trying";
         this.#state(error ? { state, attempt, error } : { state, attempt });
-        await attempts.wait(error);
+        await attempts.wait(error, this.link?.grace, this.link ? this.#graceEnd - performance.now() : 0);
       }
       try {
-        const link = this.#link;
-        const { wire, resumed, welcome } = await this.connector.connect(link, this.#ledger.read, () => this.#lose(lost ?? disconnected("the link was not resumed")));
+        const link = this.link;
+        const { wire, resumed, welcome } = await this.connector.connect(link, this.ledger.read, () => this.#lose(lost ?? disconnected("the link was not resumed")));
         // Its time may be over meanwhile.
-        if (resumed && link !== this.#link) wire.drop();
+        if (resumed && link !== this.link) wire.drop();
         else if (resumed) return this.#resumed(wire, resumed.read, resumed.content);
         else if (welcome) return this.#welcomed(wire, welcome, lost !== undefined);
-      } catch (failed) {
-        if (!(failed instanceof MomError)) throw failed;
+      } catch (thrown) {
+        // What gives tokens has failed. Where it has worked before it may do so again.
+        if (!(thrown instanceof MomError) && !lost) throw thrown;
+        const failed = thrown instanceof MomError ? thrown : disconnected(String(thrown));
         error = failed;
-        const badCount = failed.code === "bad-count" && this.#link !== null;
-        if (failed.kind === "refused" && failed.number >= 300 && this.#link) this.#lose(failed);
+        const badCount = failed.code === "bad-count" && this.link !== null;
+        if (failed.kind === "refused" && failed.number >= 300 && this.link) this.#lose(failed);
         // A new login counts anew.
         if (!badCount) attempts.failed(failed);
       }
@@ -139,7 +154,7 @@ export class Peer {
   /** The link goes on where it was. */
   #resumed(wire: Wire, read: number, content: Fields): () => Promise<string> {
     clearTimeout(this.#graceOver);
-    const unread = this.#ledger.resumed(read);
+    const unread = this.ledger.resumed(read);
     if (!unread) {
       wire.drop();
       throw new MomError("refused", "bad-count", `the hub has read ${read} parcels, more than were sent`, 408);
@@ -152,7 +167,7 @@ export class Peer {
 
   /** A new login: all that is wanted is joined again before anything else is sent. */
   #welcomed(wire: Wire, welcome: Welcome, again: boolean): () => Promise<string> {
-    [this.me, this.#link, this.#ledger] = [welcome, welcome.link, new Ledger()];
+    [this.me, this.link, this.ledger] = [welcome, welcome.link, new Ledger()];
     [this.outbox.most, this.outbox.parcelLimit] = [welcome.limits.outbox, welcome.limits.parcel];
     this.outbox.back([]);
     const places = this.places.all();
@@ -172,10 +187,18 @@ export class Peer {
     return serve;
   }
 
+  /** The link goes on over another connection than the one that is served. */
+  moveTo({ wire, resumed }: Connected): void {
+    this.outbox.lose(true);
+    this.#moved = this.#resumed(wire, resumed!.read, resumed!.content);
+    this.endServing("moved");
+  }
+
   #up(wire: Wire, resumed: boolean): () => Promise<string> {
-    this.#wire = wire;
+    this.wire = wire;
     this.#closing = null;
     this.#heard = performance.now();
+    this.#asked = -1;
     wire.frames.most = this.me!.limits.parcel;
     wire.beforePong = () => {
       this.#spoke = performance.now();
@@ -191,18 +214,24 @@ export class Peer {
     const { heartbeat, gone } = this.me!.limits;
     return new Promise((resolve) => {
       const keeper = setInterval(() => this.#keep(heartbeat, gone), heartbeat / 4);
-      this.#endServing = (why) => {
+      const stopSeeking = this.connector.isSecondBest(wire.pipe.door) ? this.#mover.seek(wire, this.options.seekWebSocket) : () => undefined;
+      this.endServing = (why) => {
         clearInterval(keeper);
+        stopSeeking();
         wire.drop();
         resolve(why);
       };
-      this.#ping();
-      wire.take({
-        parcel: (parcel, size) => this.#receive(parcel, size),
-        drained: () => this.pump(),
-        ended: (why) => this.#endServing(why),
-      });
+      this.ping();
+      this.take(wire);
       this.pump();
+    });
+  }
+
+  take(wire: Wire): void {
+    wire.take({
+      parcel: (parcel, size) => this.#receive(parcel, size),
+      drained: () => this.pump(),
+      ended: (why) => this.endServing(why),
     });
   }
 
@@ -210,32 +239,32 @@ export class Peer {
     const now = performance.now();
     const silent = now - this.#heard;
     // The hub has given the link up, too, where it has not heard of this side for so long.
-    if (silent > gone || now - this.#spoke > gone) return this.#endServing("the hub has been silent for too long");
+    if (silent > gone || now - this.#spoke > gone) return this.endServing("the hub has been silent for too long");
     if (silent > 1.5 * heartbeat && this.state.state === "connected") this.#state({ state: "stale" });
-    if (now - this.#pinged >= heartbeat) this.#ping();
+    if (now - this.#pinged >= heartbeat) this.ping();
   }
 
-  #ping(): void {
-    if (!this.#wire) return;
+  ping(): number {
     this.#pinged = this.#spoke = performance.now();
     this.#tell();
     const id = ++this.#lastId;
     const sent = wallMicros();
     this.clock.asks(id, sent);
-    this.#wire.post({ family: "time", name: "ping", id, content: { sent: new Time(BigInt(Math.round(sent))) } });
+    this.wire?.post({ family: "time", name: "ping", id, content: { sent: new Time(BigInt(Math.round(sent))) } });
+    return id;
   }
 
   /** Says how much was read. */
   #tell(): void {
-    const read = this.#link ? this.#ledger.tell() : null;
-    if (read !== null) this.#wire?.post({ family: "time", name: "ack", content: { read } });
+    const read = this.link ? this.ledger.tell() : null;
+    if (read !== null) this.wire?.post({ family: "time", name: "ack", content: { read } });
   }
 
   /** Everything that belonged to the old link is lost. */
   #lose(error: MomError): void {
     clearTimeout(this.#graceOver);
-    const left = this.#ledger.kept;
-    [this.#link, this.#ledger] = [null, new Ledger()];
+    const left = this.ledger.kept;
+    [this.link, this.ledger] = [null, new Ledger()];
     this.connector.numbers.clear();
     this.guards.loseWithin("/", { reason: "disconnected" });
     for (const entry of this.outbox.take(() => true)) this.#dropped(entry, "lost", error);
@@ -248,9 +277,9 @@ export class Peer {
 
   #close(error: MomError | null): void {
     clearTimeout(this.#graceOver);
-    this.#ending = true;
+    this.isEnding = true;
     const closed = new MomError("closed", error?.code ?? "disconnected", error ? `closed: ${error.text}` : "this client is closed", error?.number ?? 305, error?.content);
-    this.#link = null;
+    this.link = null;
     this.outbox.take(() => true);
     this.guards.loseWithin("/", { reason: "disconnected" });
     this.pending.failAll(() => closed);
@@ -260,23 +289,19 @@ export class Peer {
     this.#noteClosed();
   }
 
-  /** What resumes the link. */
-  get credential(): Link | null {
-    return this.#link;
-  }
-
   /** Logs out after everything that was sent before. */
   async end(): Promise<void> {
-    if (this.#ending) return this.closed;
-    this.#ending = true;
+    if (this.isEnding) return this.closed;
+    this.isEnding = true;
+    this.#mover.holding = false;
     this.connector.end();
-    if (!this.#wire) return this.closed;
+    if (!this.wire) return this.closed;
     const id = ++this.#lastId;
     const answered = this.pending.wait({ family: "login", name: "logout" }, id, LAST_WORDS).catch(() => undefined);
     this.outbox.put({ family: "login", name: "logout", id }, { awaited: true });
     this.pump();
     await answered;
-    this.#endServing("logged out");
+    this.endServing("logged out");
     return this.closed;
   }
 
@@ -301,12 +326,13 @@ export class Peer {
   #receive(parcel: Parcel | null, size: number): void {
     const now = performance.now();
     // What lies there after a halt of the whole program was said before, and the hub has given the link up: a device must not move by it.
-    if (now - Math.min(this.#heard, this.#spoke) > this.me!.limits.gone) return this.#endServing("this program stood still for longer than its connection lives");
+    if (now - Math.min(this.#heard, this.#spoke) > this.me!.limits.gone) return this.endServing("this program stood still for longer than its connection lives");
     this.#heard = now;
-    if (this.state.state === "stale") this.#state({ state: "connected", door: shown(this.#wire!.pipe.door), resumed: false });
+    if (this.state.state === "stale") this.#state({ state: "connected", door: shown(this.wire!.pipe.door), resumed: false });
     if (parcel?.family === "time") return this.#time(parcel);
-    if (this.#link && this.#ledger.heard(size)) this.#tell();
+    if (this.link && this.ledger.heard(size)) this.#tell();
     if (!parcel?.name) return;
+    parcel.size = size;
     if (parcel.family === "reply" || parcel.family === "error") this.#answer(parcel);
     else if (parcel.family === "manager") for (const listener of this.consults) listener(parcel);
     else this.#event(parcel);
@@ -314,11 +340,13 @@ export class Peer {
 
   #time(parcel: Parcel): void {
     const fields = fieldsOf(parcel.content);
-    if (parcel.name === "pong") this.clock.answered(parcel.reference, fields["received"], fields["sent"]);
-    else if (parcel.name === "ack" && this.#link) {
-      if (!this.#ledger.acknowledged(int(fields, "read") ?? -1)) {
-        this.#link = null;
-        return this.#endServing("the hub acknowledges what was not sent");
+    if (parcel.name === "pong") {
+      this.pending.answer(parcel);
+      this.clock.answered(parcel.reference, fields["received"], fields["sent"]);
+    } else if (parcel.name === "ack" && this.link) {
+      if (!this.ledger.acknowledged(int(fields, "read") ?? -1)) {
+        this.link = null;
+        return this.endServing("the hub acknowledges what was not sent");
       }
       this.pump();
     }
@@ -404,14 +432,24 @@ export class Peer {
 
   // What goes.
 
+  /** What is not known to be read is kept, and has the same bound as at the hub; only messages wait for that. */
+  #permits({ lane, frame }: Entry): boolean {
+    const { bytes, sent } = this.ledger;
+    if (lane > MOST_PRIORITY || !bytes || bytes + frame.length <= this.outbox.most) return true;
+    // By itself the hub says at once what it has read of much only; before a pong it says all.
+    if (this.#asked !== sent) this.ping();
+    this.#asked = sent;
+    return false;
+  }
+
   pump(): void {
-    if (this.#wire) this.outbox.pump(this.#wire.pipe);
+    if (this.wire) this.outbox.pump(this.wire.pipe);
   }
 
   /** That something can be sent now or, while a link is resumed, later. */
   #check(): void {
-    if (this.#ending) throw new MomError("closed", "disconnected", "this client is closed");
-    if (!this.#wire && !this.#link) throw disconnected("there is no connection to the hub at this moment");
+    if (this.isEnding) throw new MomError("closed", "disconnected", "this client is closed");
+    if (!this.wire && !this.link) throw disconnected("there is no connection to the hub at this moment");
   }
 
   /** Queues a parcel up at once, also in a full outbox: what is said later must not get in before it. */
@@ -553,7 +591,7 @@ export class Peer {
     if (this.me && welcome.user !== this.me.user) {
       // Another user is another peer, and nothing of the old one belongs to it.
       // The hub has read what was said before this login.
-      this.#ledger = new Ledger();
+      this.ledger = new Ledger();
       this.#lose(disconnected("logged in as another user"));
       this.places.removeWithin("/");
     }

@@ -39,8 +39,8 @@ export class Pending {
     clearTimeout(waiting.timer);
     if (waiting.over) {
       if (reply.family === "reply") waiting.late?.(reply);
-    } else if (reply.family === "reply") waiting.resolve(reply);
-    else waiting.reject(MomError.of(reply));
+    } else if (reply.family === "error") waiting.reject(MomError.of(reply));
+    else waiting.resolve(reply);
     return true;
   }
 

@@ -1,8 +1,12 @@
+/** So many bytes wait at most, and always one thing. */
+const MOST_BYTES = 64 * 1024 * 1024;
+
 /** Things in their order, for one who takes them; beyond the most the oldest are dropped and counted, but for those that are kept. */
 export class Queue<T> implements AsyncIterableIterator<T> {
   #waiting: T[] = [];
   #takers: ((result: IteratorResult<T>) => void)[] = [];
   #lost = 0;
+  #bytes = 0;
   #closed = false;
 
   constructor(
@@ -15,6 +19,7 @@ export class Queue<T> implements AsyncIterableIterator<T> {
     readonly skips: (item: T) => boolean = () => false,
     /** What is kept even beyond the most, as the newest of those that give the same word. */
     readonly keeps: (item: T) => string | undefined = () => undefined,
+    readonly weighs: (item: T) => number = () => 0,
   ) {}
 
   get length(): number {
@@ -31,7 +36,8 @@ export class Queue<T> implements AsyncIterableIterator<T> {
       return;
     }
     this.#waiting.push(item);
-    while (this.#waiting.length > this.most && this.#drop()) this.#lost += 1;
+    this.#bytes += this.weighs(item);
+    while ((this.#waiting.length > this.most || (this.#bytes > MOST_BYTES && this.#waiting.length > 1)) && this.#drop()) this.#lost += 1;
   }
 
   /** Drops the oldest that need not be kept, or else the oldest of which there is a newer one. */
@@ -42,8 +48,14 @@ export class Queue<T> implements AsyncIterableIterator<T> {
       place = words.findIndex((word, at) => words.indexOf(word, at + 1) > 0);
     }
     if (place < 0) return false;
-    this.#waiting.splice(place, 1);
+    this.#take(place);
     return true;
+  }
+
+  #take(place: number): T {
+    const item = this.#waiting.splice(place, 1)[0]!;
+    this.#bytes -= this.weighs(item);
+    return item;
   }
 
   /** @internal What waits can still be taken. */
@@ -61,7 +73,7 @@ export class Queue<T> implements AsyncIterableIterator<T> {
     }
     for (;;) {
       if (!this.#waiting.length) return undefined;
-      const item = this.#waiting.shift()!;
+      const item = this.#take(0);
       if (!this.skips(item)) return item;
     }
   }

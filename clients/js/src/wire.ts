@@ -84,6 +84,11 @@ export class Wire implements Heard {
     if (this.#ended !== null) listener.ended(this.#ended);
   }
 
+  /** What comes from now on waits, until it is taken again. */
+  leave(): void {
+    this.#listener = null;
+  }
+
   /** Nobody hears anything of it any more. */
   drop(): void {
     this.#listener = null;

@@ -47,6 +47,16 @@ for (const [name, address] of Object.entries(doors)) {
   });
 }
 
+test("a message of more than what may be unacknowledged leaves at once, as the hub is asked what it has read", async () => {
+  const alice = await open(ws(), as("alice"));
+  const chat = await alice.channel("/chat");
+  await chat.sendAcknowledged("note");
+  const begin = performance.now();
+  await chat.sendAcknowledged("image", new Uint8Array(5 << 20), { echo: false });
+  // The next sign of life would be due after 10 s.
+  assert.ok(performance.now() - begin < 5000);
+});
+
 test("who refreshes a channel joins it anew, as devices and others see, and goes on hearing it", async () => {
   const alice = await open(ws(), as("alice"));
   const bob = await open(ws(), as("bob"));

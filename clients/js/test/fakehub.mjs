@@ -198,7 +198,7 @@ export class FakeHub {
   }
 }
 
-/** A network that resets its connections after so many bytes, and those at once whose first bytes it does not let pass. */
+/** A network that resets its connections after so many bytes: after as many as `passes` says to their first bytes, if that is a number, and at once if it is false. */
 export async function faultyNetwork(port, next, passes = () => true) {
   const open = new Set();
   const server = createServer((near) => {
@@ -209,7 +209,8 @@ export async function faultyNetwork(port, next, passes = () => true) {
       open.add(from);
       from.setNoDelay(true);
       from.on("data", (bytes) => {
-        if (first && from === near && !passes(bytes.toString("latin1"))) left = 0;
+        const passed = !first || from !== near || passes(bytes.toString("latin1"));
+        if (passed !== true) left = Number(passed);
         first = false;
         to.write(bytes.subarray(0, Math.max(0, left)));
         left -= bytes.length;

@@ -245,6 +245,61 @@ test("of 100 lost connections none loses or repeats a parcel", async () => {
   assert.equal(answered.length, Math.floor(number / 3));
 });
 
+test("a token is asked for at each login, and what that throws is told", async () => {
+  const hub = await start();
+  const broken = new TypeError("no token today");
+  const webSocket = as("alice").webSocket;
+  await assert.rejects(connect(hub.url, { webSocket, token: () => Promise.reject(broken) }), (error) => error === broken);
+  let asked = 0;
+  const token = async () => {
+    asked += 1;
+    if (asked === 2) throw broken;
+    return `token ${asked}`;
+  };
+  const client = await connect(hub.url, { webSocket, token });
+  ends.push(() => client.close());
+  const states = client.states();
+  hub.forgets = true;
+  hub.cut();
+  const failed = await until(states, (state) => state.state === "trying" && state.error?.text.includes("no token"));
+  assert.equal(failed.error.kind, "connection");
+  await until(states, (state) => state.state === "connected");
+  assert.deepEqual(hub.logins.filter((parcel) => parcel.name === "login").map((parcel) => parcel.content.token), ["token 1", "token 3"]);
+});
+
+test("several attempts fall into the grace time, and the last one is made just before its end", async () => {
+  const never = new AbortController().signal;
+  for (const grace of [400, 2000, 30_000, 600_000]) {
+    const attempts = new Attempts(Infinity, never);
+    const waits = [];
+    let at = 0;
+    for (let wait; at + (wait = attempts.next(undefined, grace, grace - at)) < grace; at += wait) waits.push(wait);
+    assert.ok(waits.length >= 4 && Math.max(...waits) <= Math.min(grace / 4, 30_000), `${grace}: ${waits}`);
+    assert.ok(at >= grace - Math.max(500, grace / 8), `${grace}: the last at ${at}`);
+  }
+  const attempts = new Attempts(Infinity, never);
+  // What the hub asks for holds, whatever the grace time is.
+  assert.equal(attempts.next({ retryAfter: 5000 }, 1000, 1000), 5000);
+  const rand = Math.random;
+  Math.random = () => 1;
+  try {
+    for (let count = 0; count < 20; count++) attempts.next(undefined, 1000, 900);
+    assert.deepEqual([attempts.next(undefined, 1000, 900), attempts.next(undefined, 1000, 100), attempts.next(undefined)], [250, 30_000, 30_000]);
+    // At the hub's side of it: 0.1, 0.3, 0.675 and 1.05 s after the loss nobody is there, at 1.3 s it is.
+    const hub = await start({ grace: 1500 });
+    const client = await open(hub.url);
+    const guard = await (await client.token("/robot/token")).grab();
+    const states = client.states();
+    await hub.stop();
+    await until(states, (state) => state.state === "resuming" && state.attempt === 4);
+    const again = await start({ port: hub.port, known: hub.known });
+    const up = await until(states, (state) => state.state === "connected");
+    assert.deepEqual([up.resumed, again.link?.resent ?? true, guard.isLost], [true, true, null]);
+  } finally {
+    Math.random = rand;
+  }
+});
+
 test("the waits between attempts are random below a bound that doubles", () => {
   const attempts = new Attempts(Infinity, new AbortController().signal);
   assert.throws(() => attempts.failed({ kind: "local" }));

@@ -285,6 +285,24 @@ test("a stop is never dropped from events that nobody takes", async () => {
   assert.deepEqual(got, ["lagged 3", "halt hub", "unstop bob", "stop carol", "stop bob"]);
 });
 
+test("events that nobody takes hold 64 MiB at most", async () => {
+  const hub = await FakeHub.start();
+  ends.push(() => hub.stop());
+  const client = await connect(hub.url, as("alice"));
+  ends.push(() => client.close());
+  const events = (await client.channel("/chat")).events();
+  for (let number = 0; number < 70; number++) hub.link.say({ family: "message", name: "image", sender: "bob", context: "/chat", id: number, content: { image: new Uint8Array(1 << 20) } });
+  await client.lookup("/chat");
+  assert.deepEqual([events.tryNext(), events.length], [{ type: "lagged", count: 7 }, 63]);
+  const bytes = [];
+  for (let event = events.tryNext(); event; event = events.tryNext()) bytes.push(event.parcel.size);
+  assert.ok(bytes.every((size) => size > 1 << 20) && bytes.length === 63);
+  // What was taken makes room.
+  for (let number = 0; number < 63; number++) hub.link.say({ family: "message", name: "image", sender: "bob", context: "/chat", content: new Uint8Array(1 << 20) });
+  await client.lookup("/chat");
+  assert.deepEqual([events.length, events.tryNext().type], [63, "message"]);
+});
+
 test("a stop is kept for the first subscriber, however much has come since the join", async () => {
   const hub = await FakeHub.start();
   ends.push(() => hub.stop());

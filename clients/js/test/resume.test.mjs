@@ -75,6 +75,143 @@ test("a page that lost its WebSocket goes on through the tunnel", async () => {
   }
 });
 
+/** A client that the network lets into the tunnel only, as long as `websockets` is false. */
+async function onTheTunnel(more) {
+  const way = { websockets: false };
+  const network = await faultyNetwork(lab.port, () => Infinity, (first) => !first.startsWith("GET /mom") || way.websockets);
+  const client = await connect(`mom://127.0.0.1:${network.port}`, as("alice", more));
+  assert.match(client.state.door, /^http:/);
+  return Object.assign(way, { network, client, end: async () => (await client.close(), await network.stop()) });
+}
+
+test("a peer on the tunnel comes back by WebSocket when it has lost its connection", async () => {
+  const way = await onTheTunnel({ seekWebSocket: 0 });
+  try {
+    const [chat, states] = [await way.client.channel("/chat"), way.client.states()];
+    way.websockets = true;
+    // A tunnel outlives lost connections of TCP.
+    way.client.peer.endServing("by the test");
+    await until(states, (state) => state.state === "resuming");
+    const { door, resumed } = await until(states, (state) => state.state === "connected");
+    assert.deepEqual([door.split(":")[0], resumed], ["ws", true]);
+    // And the tunnel has its turn where the WebSocket opens and comes to nothing.
+    way.websockets = 400;
+    way.network.cut();
+    await until(states, (state) => state.state === "resuming");
+    assert.match((await until(states, (state) => state.state === "connected")).door, /^http:/);
+    assert.equal((await chat.sendAcknowledged("chat")).delivered, 1);
+  } finally {
+    await way.end();
+  }
+});
+
+test("a link on the tunnel moves to the WebSocket that works, and nothing is lost on the way", async () => {
+  let [seed, left] = [5, 25];
+  const random = () => (seed = (Math.imul(seed, 1103515245) + 12345) & 0x7fffffff) / 0x7fffffff;
+  const way = await onTheTunnel({ seekWebSocket: 10 });
+  const bob = await connect(`ws://127.0.0.1:${lab.port}`, as("bob"));
+  try {
+    const [here, there, states] = [await way.client.channel("/chat"), await bob.channel("/chat"), way.client.states()];
+    const numbers = async (events, sender) => {
+      const heard = [];
+      await until(events, (event) => {
+        assert.ok(event.type !== "link-down" && event.type !== "dropped", event.type);
+        if (event.type === "message" && event.sender === sender) heard.push(event.content);
+        return event.type === "message" && event.sender === sender && event.content === "end";
+      });
+      return heard.slice(0, -1);
+    };
+    const both = [numbers(here.events(), bob.name), numbers(there.events(), way.client.name)];
+    const asked = [];
+    let number = 0;
+    let over = false;
+    void until(states, (state) => left < 0 && state.state === "connected" && state.door.startsWith("ws:")).then(() => (over = true));
+    // Cut in the middle of a move at any byte; then not any more.
+    Object.defineProperty(way, "websockets", { get: () => (left-- > 0 ? 100 + Math.floor(random() * 2500) : true) });
+    for (; !over; number++) {
+      await Promise.all([here.send("count", number), there.send("count", number)]);
+      if (number % 9 === 0) void here.send("image", new Uint8Array(70_000), { priority: -1, echo: false, to: ["nobody"] });
+      if (number % 5 === 0) asked.push(way.client.lookup("/chat"));
+      await new Promise((resolve) => setTimeout(resolve, 1));
+      assert.ok(number < 20_000);
+    }
+    await Promise.all([here.send("count", "end"), there.send("count", "end")]);
+    const expected = Array.from({ length: number }, (_, place) => place);
+    for (const heard of await Promise.all(both)) assert.deepEqual(heard, expected);
+    await Promise.all(asked);
+  } finally {
+    await bob.close();
+    await way.end();
+  }
+});
+
+test("a link does not move while its peer owns a token, and stays where the hub does not resume it", async () => {
+  const way = await onTheTunnel({ seekWebSocket: 10 });
+  const bob = await connect(`ws://127.0.0.1:${lab.port}`, as("bob"));
+  try {
+    const [chat, there, states] = [await way.client.channel("/chat"), await bob.channel("/chat"), way.client.states()];
+    const arm = await bob.channel("/robot/arm");
+    const [events, halts] = [chat.events(), arm.events()];
+    const guard = await (await way.client.token("/robot/token")).grab();
+    const { connector } = way.client.peer;
+    const move = connector.move;
+    let [moves, refused] = [0, () => undefined];
+    connector.move = async (link, read) => {
+      moves += 1;
+      await read();
+      await there.sendAcknowledged("chat", "meanwhile");
+      refused();
+      return null;
+    };
+    way.websockets = true;
+    const { guards } = way.client.peer;
+    // Five times it could have moved.
+    await new Promise((resolve) => {
+      let looked = 0;
+      Object.defineProperty(guards, "isEmpty", { configurable: true, get: () => (++looked === 5 && resolve(), false) });
+    });
+    delete guards.isEmpty;
+    assert.equal(moves, 0);
+    const once = new Promise((resolve) => (refused = resolve));
+    await guard.release();
+    await once;
+    await until(events, (event) => event.type === "message" && event.content === "meanwhile");
+    assert.equal((await chat.sendAcknowledged("chat", "it stays")).delivered, 2);
+    assert.match(way.client.state.door, /^http:/);
+    connector.move = move;
+    await until(states, (state) => state.state === "connected" && state.door.startsWith("ws:"));
+    await arm.sendAcknowledged("note");
+    const names = [];
+    await until(halts, (event) => event.type === "message" && (names.push(event.name), event.name === "note"));
+    // The release alone has halted it.
+    assert.deepEqual(names, ["halt", "note"]);
+  } finally {
+    await bob.close();
+    await way.end();
+  }
+});
+
+test("a move of which the hub says nothing is a lost connection, and the link is resumed", async () => {
+  const way = await onTheTunnel({ seekWebSocket: 10 });
+  try {
+    const [chat, states] = [await way.client.channel("/chat"), way.client.states()];
+    const { connector } = way.client.peer;
+    connector.move = async (link, read) => {
+      delete connector.move;
+      await read();
+      // What is said now waits for the end of this.
+      void chat.send("chat", "meanwhile");
+      return new Promise(() => undefined);
+    };
+    await until(states, (state) => state.state === "resuming");
+    assert.equal((await until(states, (state) => state.state === "connected")).resumed, true);
+    assert.equal((await chat.sendAcknowledged("chat")).delivered, 1);
+    await until(chat.events(), (event) => event.type === "message" && event.content === "meanwhile");
+  } finally {
+    await way.end();
+  }
+});
+
 test("while a driver is lost the robot is safe, and he drives on with the same token", async () => {
   const network = await faultyNetwork(lab.port, () => Infinity);
   const bob = await connect(`ws://127.0.0.1:${lab.port}`, as("bob"));

@@ -31,8 +31,9 @@ async def main() -> None:
             working = asyncio.ensure_future(work(arm, chat, guard.fence, client.name))
             lost = asyncio.ensure_future(guard.lost())
             await asyncio.wait({working, lost}, return_when=asyncio.FIRST_COMPLETED)
-            working.cancel()
-        if lost.done():  # Be interrupted: by whoever takes the token, or by the end of the scope.
+            # Asked here, since the end of the block gives the token back, and then it is lost, too.
+            interrupted = lost.done() and (working.cancel() or working.exception() is not None)
+        if interrupted:  # By whoever takes the token, or by the end of the scope.
             return print(f"interrupted: {lost.result().reason} by {lost.result().by}")
         working.result()
         print("done")

@@ -152,8 +152,10 @@ class Cutter:
         """Whether new connections are closed at once."""
         self.after: Optional[int] = None
         """Cuts when a connection has passed so many bytes; once, as few of them let nobody in."""
-        self._flows = asyncio.Event()
-        self._flows.set()
+        self.up = 0
+        """How many bytes have passed to the hub."""
+        self._flows, self._flows_down = asyncio.Event(), asyncio.Event()
+        self.let_go()
         self._writers: Set[asyncio.StreamWriter] = set()
         self._tasks: List["asyncio.Task[None]"] = []
         self._server: Optional[asyncio.AbstractServer] = None
@@ -176,14 +178,15 @@ class Cutter:
             return
         self._writers.add(back)
         passed = [0]
-        ways = [self._pass(reader, back, passed), self._pass(there, writer, passed)]
+        ways = [self._pass(reader, back, passed, True), self._pass(there, writer, passed, False)]
         self._tasks += map(asyncio.ensure_future, ways)
 
-    async def _pass(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, passed: List[int]) -> None:
+    async def _pass(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, passed: List[int], up: bool) -> None:
         try:
             while data := await reader.read(65536):
-                await self._flows.wait()
+                await (self._flows if up else self._flows_down).wait()
                 passed[0] += len(data)
+                self.up += len(data) if up else 0
                 if self.after is not None and passed[0] > self.after:
                     writer.write(data[: max(0, len(data) - (passed[0] - self.after))])
                     await writer.drain()
@@ -202,13 +205,16 @@ class Cutter:
             writer.transport.abort()
         self._writers.clear()
 
-    def hold(self) -> None:
-        """Passes nothing on from now on."""
-        self._flows.clear()
+    def hold(self, up: bool = True) -> None:
+        """Passes nothing on from now on; or, if not `up`, nothing of what the hub says."""
+        if up:
+            self._flows.clear()
+        self._flows_down.clear()
 
     def let_go(self) -> None:
         """Passes on again."""
         self._flows.set()
+        self._flows_down.set()
 
     async def close(self) -> None:
         """Ends it."""

@@ -226,6 +226,17 @@ async def test_a_stop_overtakes_an_image(broker: Broker) -> None:
         assert (await heard(events, mom.Message)).name == "image"
 
 
+async def test_a_message_of_more_than_what_may_be_unacknowledged_leaves_at_once(broker: Broker) -> None:
+    """The hub is asked what it has read; by itself it would say so with the next sign of life, after 10 s."""
+    async with broker.connect("alice") as alice:
+        chat = await alice.channel("/chat")
+        for _ in range(10):
+            # The first signs of life, which measure the clock, are over then.
+            await chat.send_acknowledged("note")
+        sent = chat.send_acknowledged("image", bytes(5 << 20), echo=False)
+        assert (await asyncio.wait_for(sent, 5)).delivered == 0
+
+
 async def test_events_are_bounded_and_losses_are_told(broker: Broker) -> None:
     async with broker.connect("alice", event_buffer=5) as alice:
         chat = await alice.channel("/chat")

@@ -289,6 +289,8 @@ async def test_what_waits_for_room_at_a_loss_is_not_said_after_it(hub: FakeHub, 
 
         monkeypatch.setattr(client._driver._connection, "write", stuck)
         client._core.outbox.most = 1
+        # This hub acknowledges nothing, which is no matter here.
+        monkeypatch.setattr(client._core.outbox, "permits", lambda entry: True)
         for number in range(2):
             await channel.send("note", number)
             await asyncio.sleep(0)  # tidy: lets the first of them leave
@@ -369,6 +371,50 @@ async def test_a_link_that_is_not_resumed_is_a_new_login_on_that_connection(hub:
         assert [parcel.context for parcel in hub.heard if parcel.name == "join"][-2:] == ["/c", "/t"]
 
 
+async def test_the_last_attempt_within_the_grace_time_resumes(hub: FakeHub, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the longest delays: 0.1, 0.3, 0.675 and 1.05 s after the loss nobody is there, at 1.3 s the hub is back."""
+    hub.grace = 1500
+    hub.replies["join"] = {"kind": "token"}
+    monkeypatch.setattr("mom.states.random.uniform", lambda least, most: most)
+    async with connect(hub, reconnect=mom.Reconnect()) as client:
+        guard = await (await client.token("/t")).grab()
+        port = await away(hub, client)
+        await until(lambda: client.state.attempt == 4)
+        assert client.state.word == "resuming"
+        await back(hub, client, port)
+        assert hub.resumes and len(hub.logins) == 1 and not guard.is_lost
+
+
+async def test_a_token_is_asked_for_at_each_login_and_what_that_raises_is_told(
+    hub: FakeHub, caplog: pytest.LogCaptureFixture
+) -> None:
+    broken, words, asked = KeyError("none today"), [], 0
+
+    async def token() -> str:
+        nonlocal asked
+        asked += 1
+        if asked in (1, 3):
+            raise broken
+        return f"token {asked}"
+
+    def note(state: mom.LinkState) -> None:
+        words.append(state.word)
+
+    with pytest.raises(KeyError) as caught:
+        await mom.connect(hub.address, token=token, reconnect=QUICK, on_state=note)
+    assert caught.value is broken and words == ["trying", "closed"]
+    hub.resumable = False
+    async with mom.connect(hub.address, token=token, reconnect=QUICK, on_state=note) as client:
+        hub.cut()
+        await until(lambda: len(hub.logins) == 2 and client.state.word == "connected")
+        assert "closed" not in words[2:] and "KeyError('none today')" in caplog.text
+        await client.authenticate_again(token=lambda: "another")
+        hub.cut()
+        await until(lambda: len(hub.logins) == 3 and client.state.word == "connected")
+    assert [content["token"] for content in hub.logins] == ["token 2", "token 4", "another"]
+    assert [parcel.map()["token"] for parcel in hub.heard if parcel.is_("login", "login")] == ["another"]
+
+
 async def test_after_the_grace_time_all_is_lost(hub: FakeHub) -> None:
     hub.grace = 100
     async with connect(hub, grace=0.1) as client:
@@ -435,6 +481,13 @@ async def test_signs_of_life_and_a_silent_hub(hub: FakeHub) -> None:
         hub.silent = False
         await state(client, "connected")
         assert words[:5] == ["trying", "connected", "stale", "resuming", "connected"]
+
+
+async def test_who_does_not_come_back_asks_for_no_link(hub: FakeHub) -> None:
+    async with connect(hub, reconnect=None) as client:
+        assert "link" not in hub.logins[0]
+        hub.cut()
+        assert (await state(client, "closed")).error
 
 
 async def test_a_hub_without_links(hub: FakeHub) -> None:

@@ -11,6 +11,7 @@ import mom
 from mom.address import Address
 from mom.clock import OffsetEstimator
 from mom.connection import Connection
+from mom.core import Core
 from mom.entry import Entry
 from mom.events import of_parcel
 from mom.link import Link
@@ -18,6 +19,7 @@ from mom.login import Credentials
 from mom.outbox import Outbox
 from mom.parcel import Parcel
 from mom.subscriptions import Subscribers
+from mom.values import now
 
 PIN = "4355a46b19d348dc2f57c046f8ef63d4538ebb936000f3c9ee954a27460dd865"
 
@@ -99,12 +101,13 @@ async def test_the_first_door_that_leads_to_a_hub_is_taken_and_remembered(
     from mom.driver import Driver, Options
 
     tried: List[str] = []
+    opens = {"websocket"}
 
     async def to(door: Address, *_: Any) -> Any:
         tried.append(str(door).split(":")[0])
         if door.tls:
             await asyncio.sleep(60)  # tidy: a door that never opens
-        if door.door != "websocket":
+        if door.door not in opens:
             raise mom.ConnectionDownError("closed")
         return "a connection"
 
@@ -118,6 +121,12 @@ async def test_the_first_door_that_leads_to_a_hub_is_taken_and_remembered(
     tried.clear()
     await driver._open()
     assert tried == ["ws"]
+    # A tunnel that has worked does not come before what is better.
+    opens = {"tunnel"}
+    assert str((await driver._open())[1]).startswith("http://")
+    tried.clear()
+    opens = {"websocket", "tunnel"}
+    assert str((await driver._open())[1]).startswith("ws://") and tried == ["bin", "ws"]
 
 
 def test_delays_have_full_jitter() -> None:
@@ -126,6 +135,19 @@ def test_delays_have_full_jitter() -> None:
         delays = [reconnect.delay(attempt) for _ in range(300)]
         assert 0 <= min(delays) < most / 4 and most * 3 / 4 < max(delays) <= most
     assert reconnect.delay(0, 9.0) == 9.0, "no less than the hub asked for"
+
+
+@pytest.mark.parametrize("grace", [0.4, 2.0, 30.0, 600.0])
+def test_several_attempts_fall_into_the_grace_time_and_the_last_just_before_its_end(grace: float) -> None:
+    for reconnect in [mom.Reconnect(), mom.Reconnect(first=grace, most=10 * grace)]:
+        at, delays = 0.0, []
+        while (delay := reconnect.delay(len(delays), None, grace, grace - at)) < grace - at:
+            at += delay
+            delays.append(delay)
+        assert len(delays) >= 4 and max(delays) <= grace / 4
+        assert at >= grace - max(0.5, grace / 8)
+    assert reconnect.delay(0, 2 * grace, grace, grace) == 2 * grace, "no less than the hub asked for"
+    assert max(reconnect.delay(9) for _ in range(300)) > grace, "afterwards they are as always"
 
 
 def test_the_offset_of_another_clock() -> None:
@@ -359,37 +381,60 @@ async def test_only_what_is_fleeting_makes_fleeting_messages_leave_their_place(n
     assert outbox.is_empty and not dropped
 
 
-def test_a_link_keeps_what_outlives_a_loss_up_to_a_bound() -> None:
-    """Beyond it something would be missing after a resume. One parcel of any size may be under way."""
+def test_a_link_keeps_what_outlives_a_loss() -> None:
     note = Entry(Parcel("message", "note", "/c", bytes(400)))
-    link = Link("link", b"", 30.0, 2 * note.size)
+    link = Link("link", b"", 30.0)
     for entry in [note, note, Entry(Parcel("message", "frame", "/c", bytes(4000)), "fleeting"), Entry(Parcel("time", "ping"))]:
         link.wrote(entry)
-        assert link.is_whole
-    assert link.sent == 3 and len(link.unread) == 3
+    assert link.sent == 3 and len(link.unread) == 3 and link.kept_bytes == 2 * note.size
     assert not link.acknowledged(4) and not link.acknowledged(-1) and not link.acknowledged("1") and len(link.unread) == 3
-    assert link.acknowledged(1) and not link.acknowledged(0) and len(link.unread) == 2
+    assert link.acknowledged(1) and not link.acknowledged(0) and len(link.unread) == 2 and link.kept_bytes == note.size
+    assert link.acknowledged(3) and link.kept_bytes == 0
     link.wrote(note)
-    assert link.is_whole
-    assert link.acknowledged(4)
-    link.wrote(Entry(Parcel("message", "map", "/c", bytes(4000))))
-    assert link.is_whole and link.acknowledged(5)
-    link.wrote(note)
-    both = link.resumed(5)
-    assert both == ([note], []) and link.sent == 5 and not link.unread
-    for _ in range(2):
-        link.wrote(note)
-    assert link.is_whole
-    link.wrote(note)
-    assert not link.is_whole and link.acknowledged(8)
-    link.wrote(note)
-    assert not link.is_whole, "what was not kept is missing for good"
-    link = Link("link", b"", 30.0, 2 * note.size)
-    link.wrote(Entry(Parcel("message", "frame", "/c", bytes(4000)), "fleeting"))
-    assert link.acknowledged(1)
-    for _ in range(3):
-        link.wrote(note)
-    assert not link.is_whole, "what was never kept makes no room"
+    both = link.resumed(3)
+    assert both == ([note], []) and link.sent == 3 and not link.unread and link.kept_bytes == 0
+
+
+async def test_messages_are_held_back_beyond_what_is_kept_and_nothing_else_is() -> None:
+    class Open(Wire):
+        async def write(self, data: bytes) -> None:
+            pass
+
+    sent: List[Any] = []
+    core = Core(now, 4, 1.0)
+    outbox, held = core.outbox, 0
+
+    def count() -> None:
+        nonlocal held
+        held += 1
+
+    def wrote(entry: Entry) -> None:
+        sent.append(entry.parcel.name)
+        assert core.link
+        core.link.wrote(entry)
+
+    outbox.most, outbox.held, core.link = 1000, count, Link("link", b"", 30.0)
+    for size, name in [(5000, "map"), (400, "note"), (10, "short")]:
+        outbox.put(Entry(Parcel("message", name, "/c", bytes(size))))
+    sending = asyncio.ensure_future(outbox.send_all(Open(), wrote))  # type: ignore[arg-type]
+
+    async def leave(*names: str) -> None:
+        for _ in range(20):
+            await asyncio.sleep(0)  # tidy: lets the other go on
+        assert sent == list(names)
+        sent.clear()
+
+    await leave("map")  # One parcel of any size may be under way.
+    assert held == 1
+    for parcel in [Parcel("context", "info", "/c"), Parcel("message", "unstop", "/d"), Parcel("message", "stop", "/c")]:
+        outbox.put(Entry(parcel))
+    await leave("stop", "info", "unstop")
+    outbox.put(Entry(Parcel("message", "urgent", "/c", bytes(10), priority=9)))
+    await leave()
+    assert core.link.acknowledged(1)
+    outbox.wake()
+    await leave("urgent", "note", "short")
+    sending.cancel()
 
 
 @pytest.mark.parametrize("heartbeat", [0.0999, 10.001, 0, -1, float("nan"), float("inf")])

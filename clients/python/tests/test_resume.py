@@ -138,6 +138,47 @@ async def test_a_token_that_is_released_during_a_loss_is_free_after_it(broker: B
             assert theirs.fence > guard.fence
 
 
+async def test_a_token_outlives_a_loss_with_much_under_way(broker: Broker, cutter: Cutter, alice: mom.Client) -> None:
+    """16 MiB are said, and the hub's acknowledgements do not come: no more leave than both sides keep."""
+    async with broker.connect("bob") as bob:
+        mine, events = await alice.channel("/chat"), (await bob.channel("/chat")).events()
+        guard = await (await alice.token(TOKEN)).grab()
+        cutter.hold(up=False)
+        before = cutter.up
+
+        async def say() -> None:
+            for number in range(256):
+                await mine.send("part", number.to_bytes(1, "big") * (64 << 10), echo=False)
+
+        told = asyncio.ensure_future(asyncio.wait_for(say(), PATIENCE))
+        link, outbox = alice._core.link, alice._core.outbox
+        assert link
+        while cutter.up - before < 5 << 20:
+            await asyncio.sleep(0.002)  # tidy: looks again until it is so
+            head = outbox._next()
+            if head is not None and not outbox.permits(head) and cutter.up - before > link.kept_bytes:
+                break
+        assert 3 << 20 < cutter.up - before < 5 << 20 and not told.done()
+        # Neither a request nor a stop waits for that.
+        asked, at = asyncio.ensure_future(alice.info("/chat")), cutter.up
+        stopped = asyncio.ensure_future(alice.stop("/chat"))
+        while link.unread[-1].parcel.name != "info" or all(entry.parcel.name != "stop" for entry in link.unread):
+            await asyncio.sleep(0.002)  # tidy: looks again until it is so
+        cutter.refuses = True
+        cutter.cut()
+        cutter.let_go()
+        await state(alice, "resuming")
+        cutter.refuses = False
+        await told
+        assert (await asked)["path"] == "/chat" and (await stopped).is_obeyed and cutter.up > at
+        found: List[int] = []
+        while len(found) < 256:
+            message = await heard(events, mom.Message)
+            found += [message.content[0]] if message.name == "part" else []
+        assert found == list(range(256)) and not guard.is_lost
+        await guard.release()
+
+
 async def test_through_another_door(broker: Broker, cutter: Cutter, alice: mom.Client) -> None:
     chat = await alice.channel("/chat")
     name = alice.name

@@ -65,6 +65,9 @@ class Robot:
     async def _read(self) -> None:
         assert self._process.stdout
         async for line in self._process.stdout:
+            if not line.endswith(b"\n"):
+                # It was killed within a word.
+                break
             clock, words = line.decode().rstrip("\n").split(" ", 1)
             self.told.append(words)
             self.times.append(float(clock))

@@ -14,7 +14,7 @@ from .core import Core
 from .driver import Driver, Options
 from .errors import MomError
 from .events import ContextInfo, Member, Other
-from .login import Credentials, Key
+from .login import Credentials, JwtSource, Key
 from .obey import Device, Machine
 from .parcel import Parcel
 from .proxies import Channel, Session, Token, pages, thinning
@@ -63,7 +63,7 @@ def connect(
     user: str = "",
     password: Optional[str] = None,
     key: Optional[Key] = None,
-    token: Optional[str] = None,
+    token: Optional[JwtSource] = None,
     certificate: bool = False,
     guest: bool = False,
     nickname: Optional[str] = None,
@@ -84,12 +84,15 @@ def connect(
     - `address`: `mom://host` tries all doors that the login permits, `bin://`, `bins://`, `ws://`, `wss://`, `http://` and
       `https://` are one door each (`mom.Address`).
     - `user` with `password`, `key` or `certificate`, or `token`, or `guest`: who this is, and its proof. Passwords and tokens
-      are sent over TLS or to loopback only.
+      are sent over TLS or to loopback only. A `token` (JWT) may be a function or a coroutine function that gives one, which is
+      asked at each login: what it raises at first is raised here, too; later the attempt has failed, and is made again.
     - `nickname`: the requested name at the hub; `hub_name`: the only hub for which the key signs.
     - `trust`: which hub is the right one over TLS (`mom.Trust`).
-    - `link`, `grace`: whether a lost connection is resumed, and for how many seconds the hub is to wait for that.
+    - `link`, `grace`: whether a lost connection is resumed, and for how many seconds the hub is to wait for that; without
+      `reconnect` it is not asked to.
     - `heartbeat`: the signs of life of this connection, from 0.1 to 10 seconds; a lost one is noticed after three of them.
-    - `reconnect`: the delays between attempts, at first and after a loss; `None`: a lost connection closes the client.
+    - `reconnect`: the delays between attempts, at first and after a loss, when several fall into the grace time; `None`: a lost
+      connection closes the client.
     - `request_timeout`, `connect_timeout`: how long to wait for a reply, and for a connection with its login.
     - `event_buffer`: the most events that wait for one subscription.
     - `wall_clock`: the clock that stamps this peer's parcels. It may be wrong: the hub measures its offset.
@@ -100,7 +103,8 @@ def connect(
     bounded.
     """
     credentials = Credentials(user, password, key, token, certificate, guest, nickname, hub_name)
-    options = Options(Address.parse(address), trust, link, grace, heartbeat, connect_timeout, reconnect)
+    # Who does not come back leaves at once.
+    options = Options(Address.parse(address), trust, link and reconnect is not None, grace, heartbeat, connect_timeout, reconnect)
     return Connect(
         lambda: Core(wall_clock, event_buffer, request_timeout), credentials, options, [on_state] if on_state else []
     )
@@ -292,7 +296,7 @@ class Client:
     # Login.
 
     async def authenticate_again(
-        self, *, password: Optional[str] = None, key: Optional[Key] = None, token: Optional[str] = None
+        self, *, password: Optional[str] = None, key: Optional[Key] = None, token: Optional[JwtSource] = None
     ) -> None:
         """Authenticates again, for example before a token expires; later reconnects use this proof, too.
 
@@ -301,7 +305,8 @@ class Client:
         known = self._driver.credentials
         again = replace(known, password=password, key=key, token=token, certificate=False, guest=False)
         again.doors(self._driver.options.address)
-        reply = await self._core.request(Parcel("login", "login", "/", again.content()))
+        content = again.content(await again.ask_for_token())
+        reply = await self._core.request(Parcel("login", "login", "/", content))
         if reply.name == "challenge":
             reply = await self._core.request(Parcel("login", "answer", "/", again.answer(reply)))
         before, self._driver.credentials = self.user, again

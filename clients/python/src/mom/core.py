@@ -10,7 +10,7 @@ from datetime import datetime
 from typing import Any, Callable, Dict, List, Optional
 
 from .clock import HubClock
-from .entry import Entry
+from .entry import DATA, Entry
 from .errors import (
     ClosedError,
     ConnectionDownError,
@@ -69,6 +69,7 @@ class Core:
         self.request_timeout = request_timeout
         self.subscribers = Subscribers(event_buffer, self._is_over)
         self.outbox = Outbox(self.dropped)
+        self.outbox.permits = self._permits
         self.holds = Holds(self)
         self.places: Dict[str, Place] = {}
         self._latches: Dict[str, Latch] = {}
@@ -123,6 +124,14 @@ class Core:
                 told(state)
 
     # What is said.
+
+    def _permits(self, entry: Entry) -> bool:
+        """Whether an entry may leave now: what the hub may not have read is kept, and has the same bound as at the hub.
+
+        Only messages wait for that.
+        """
+        kept = self.link.kept_bytes if self.link is not None else 0
+        return entry.lane != DATA or kept == 0 or kept + entry.size <= self.outbox.most
 
     def check_up(self) -> None:
         """Refuses what cannot be sent, now or when the link is resumed."""

@@ -7,7 +7,7 @@ import logging
 from dataclasses import dataclass
 from typing import Dict, List, Optional, Set, Tuple
 
-from .address import WEBSOCKET, Address
+from .address import TUNNEL, WEBSOCKET, Address
 from .connection import Connection
 from .core import Core
 from .entry import Entry
@@ -64,6 +64,9 @@ class Driver:
         self._written = self._spoke = 0.0
         self._connection: Optional[Connection] = None
         self._logins = 0
+        self._asked = -1
+        """How much was sent when the hub was asked what it has read, since messages are held back until it says so."""
+        core.outbox.held = self._held
         self._rejoining: List[asyncio.Task[None]] = []
 
     async def first(self) -> Connection:
@@ -73,8 +76,8 @@ class Driver:
             told(self.core.state)
         try:
             return await self._attempts(at_once=True)
-        except MomError as error:
-            self.core.enter(LinkState("closed", error=error.wire))
+        except Exception as error:
+            self.core.enter(LinkState("closed", error=error.wire if isinstance(error, MomError) else None))
             raise
 
     async def run(self, connection: Connection) -> None:
@@ -91,7 +94,7 @@ class Driver:
                     error = closing or WireError("disconnected", why)
                     break
                 LOG.info("the connection is lost: %s", closing or why)
-                if closing is not None or core.link is None or not core.link.is_whole:
+                if closing is not None or core.link is None:
                     core.lose_all(str(closing or why))
                 else:
                     core.suspend()
@@ -114,12 +117,16 @@ class Driver:
             word = "trying" if core.link is None else "resuming"
             core.enter(LinkState(word, attempt, error=last.wire if last else None))
             if (attempt or not at_once) and reconnect is not None:
-                wait = reconnect.delay(attempt, last.retry_after if last else None)
-                if core.link is not None:
-                    wait = min(wait, max(0.0, begin + core.link.grace - loop.time()))
+                grace = core.link.grace if core.link is not None else 0.0
+                left = begin + grace - loop.time()
+                wait = reconnect.delay(attempt, last.retry_after if last else None, grace, left)
+                if core.link is not None and wait >= left:
+                    # Whoever has a token hears in time that it is lost.
+                    await asyncio.sleep(left)
+                    wait -= max(0.0, left)
+                    core.lose_all("the connection was lost for longer than the hub waits")
+                    core.enter(LinkState("trying", attempt, error=last.wire if last else None))
                 await asyncio.sleep(wait)
-            if core.link is not None and loop.time() - begin >= core.link.grace:
-                core.lose_all("the connection was lost for longer than the hub waits")
             try:
                 return await self._once()
             except RefusedError as error:
@@ -167,7 +174,8 @@ class Driver:
         if len(doors) > 1 and not has_websockets():
             doors = [door for door in doors if door.door != WEBSOCKET]
         known = _worked.get((address.host, address.port))
-        if known in doors:
+        # A tunnel is the last resort: what one failure has led to must not be for good.
+        if known in doors and known.door != TUNNEL:
             doors.sort(key=lambda door: door != known)
         connection, door = await self._race(doors)
         _worked[(address.host, address.port)] = door
@@ -207,6 +215,17 @@ class Driver:
 
     # Entering.
 
+    async def _token(self) -> Optional[str]:
+        """The token for this login. What fails to give one may do so later, where it has done so before."""
+        try:
+            return await self.credentials.ask_for_token()
+        except MomError:
+            raise
+        except Exception as error:
+            if not self._logins:
+                raise
+            raise ConnectionDownError(f"there is no token to log in with: {error!r}") from error
+
     async def _enter(self, connection: Connection) -> Tuple[Parcel, bool]:
         """Resumes the link, or logs in; the hub's reply, and whether the link goes on."""
         if self.core.link is not None:
@@ -214,14 +233,15 @@ class Driver:
             if resumed is not None:
                 return resumed, True
             self.core.lose_all("the link could not be resumed")
+        token = await self._token()
         try:
-            parcel = await self._ask(connection, Parcel("login", "login", "/", self._login()))
+            parcel = await self._ask(connection, Parcel("login", "login", "/", self._login(token)))
         except RefusedError as error:
             if error.wire.slot not in ("content/link", "content/heartbeat"):
                 raise
             # A hub of an earlier version refuses what it does not know, and counts that as a failed login: once is enough.
             _plain.add((self.options.address.host, self.options.address.port))
-            parcel = await self._ask(connection, Parcel("login", "login", "/", self._login()))
+            parcel = await self._ask(connection, Parcel("login", "login", "/", self._login(token)))
         if parcel.is_("reply", "challenge"):
             parcel = await self._ask(
                 connection, Parcel("login", "answer", "/", self.credentials.answer(parcel))
@@ -231,7 +251,7 @@ class Driver:
     def _logged_in(self, reply: Parcel) -> None:
         self.welcomed(reply)
         self._logins += 1
-        self.core.link = Link.of_reply(reply.map(), self.core.outbox.most) if self.options.link else None
+        self.core.link = Link.of_reply(reply.map()) if self.options.link else None
         self.core.begin_anew()
         if self._logins > 1:
             # Before anything that others may say from here on. Kept, as the loop itself does not.
@@ -243,8 +263,8 @@ class Driver:
         self.core.begin_anew()
         self._rejoining = self.core.rejoin_all()
 
-    def _login(self) -> Dict[str, object]:
-        content = self.credentials.content()
+    def _login(self, token: Optional[str]) -> Dict[str, object]:
+        content = self.credentials.content(token)
         if (self.options.address.host, self.options.address.port) in _plain:
             return content
         if self.options.link:
@@ -311,7 +331,7 @@ class Driver:
     async def _serve(self, connection: Connection) -> str:
         """Drives one connection to its end; says why it ended."""
         core = self.core
-        self._written = asyncio.get_running_loop().time()
+        self._written, self._asked = asyncio.get_running_loop().time(), -1
         connection.gone, connection.said = core.limit("gone", 30_000) / 1000, self._said
         self._ping()
         sender = asyncio.ensure_future(core.outbox.send_all(connection, self._wrote))
@@ -370,11 +390,18 @@ class Driver:
             if not core.link.acknowledged(parcel.map().get("read")):
                 core.link = None
                 raise ConnectionDownError("the hub says that it has read what was never sent")
+            core.outbox.wake()
 
     def _acknowledge(self) -> None:
         said = self.core.link.acknowledgement() if self.core.link is not None else None
         if said is not None:
             self.core.post(said)
+
+    def _held(self) -> None:
+        # By itself the hub says at once what it has read of much only; before a pong it says all.
+        if self.core.link is not None and self._asked != self.core.link.sent:
+            self._asked = self.core.link.sent
+            self._ping()
 
     def _said(self) -> float:
         """When a sign of life was said last, by the loop's clock: on a slow link it may still be on its way behind what is large."""

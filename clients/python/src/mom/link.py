@@ -21,19 +21,18 @@ class Link:
     has said that it has read it; of the rest the place in the count, and whom to tell.
     """
 
-    def __init__(self, name: str, secret: bytes, grace: float, most: int) -> None:
+    def __init__(self, name: str, secret: bytes, grace: float) -> None:
         self.name, self.grace = name, grace
         self.sent, self.read = 0, 0
         """How many parcels were written whole, and how many were read whole."""
-        self._secret, self._most = secret, most
+        self._secret = secret
         self._kept: Deque[Entry] = deque()
-        self._kept_bytes = 0
+        self.kept_bytes = 0
+        """The size of what is kept; the queue holds messages back that would let it grow beyond what may wait."""
         self._said, self._bytes = 0, 0
-        self.is_whole = True
-        """Whether all that outlives a loss and is not acknowledged is kept."""
 
     @staticmethod
-    def of_reply(content: Dict[str, Any], most: int) -> Optional[Link]:
+    def of_reply(content: Dict[str, Any]) -> Optional[Link]:
         """Reads the reply to a login; `None` for a hub that gives no link."""
         told = content.get("link")
         if not isinstance(told, dict):
@@ -41,7 +40,7 @@ class Link:
         name, secret, grace = told.get("id"), told.get("secret"), told.get("grace")
         if not isinstance(name, str) or not isinstance(secret, bytes) or not isinstance(grace, int):
             return None
-        return Link(name, secret, grace / 1000, most)
+        return Link(name, secret, grace / 1000)
 
     def wrote(self, entry: Entry) -> None:
         """Notes that the last byte of a parcel is written."""
@@ -50,9 +49,7 @@ class Link:
         self.sent += 1
         self._kept.append(entry)
         if entry.outlives:
-            self._kept_bytes += entry.size
-            # One parcel of any size may be under way.
-            self.is_whole = self.is_whole and (self._kept_bytes <= self._most or self._kept_bytes == entry.size)
+            self.kept_bytes += entry.size
 
     def acknowledged(self, read: Any) -> bool:
         """Forgets what the hub has read; whether that can be."""
@@ -60,7 +57,7 @@ class Link:
             return False
         while self.sent - len(self._kept) < read:
             entry = self._kept.popleft()
-            self._kept_bytes -= entry.size if entry.outlives else 0
+            self.kept_bytes -= entry.size if entry.outlives else 0
         return True
 
     def count(self, parcel: Parcel) -> bool:
@@ -93,6 +90,6 @@ class Link:
         """After a resume: what is to be sent again, in the old order, and what is not; `None` for a count that cannot be."""
         if not self.acknowledged(read):
             return None
-        left, self._kept, self._kept_bytes = list(self._kept), deque(), 0
+        left, self._kept, self.kept_bytes = list(self._kept), deque(), 0
         self.sent = read
         return [entry for entry in left if entry.outlives], [entry for entry in left if not entry.outlives]

@@ -5,13 +5,16 @@ from __future__ import annotations
 import base64
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Dict, List, Optional, Union
+from typing import Any, Awaitable, Callable, Dict, List, Optional, Union
 
 from .address import Address
 from .errors import LocalError
 from .parcel import Parcel
 
 _LOGIN, _LINK = b"mom-login-1", b"mom-link-1"
+
+JwtSource = Union[str, Callable[[], Union[str, Awaitable[str]]]]
+"""A JWT, or a function that gives one, at once or as a coroutine."""
 
 
 class Key:
@@ -95,8 +98,8 @@ class Credentials:
     """The user's password; sent over TLS or to loopback only."""
     key: Optional[Key] = None
     """A key of the user's; accepted from anywhere, because no secret is on the wire."""
-    token: Optional[str] = None
-    """A JWT of an issuer that the hub trusts; sent where a password is."""
+    token: Optional[JwtSource] = None
+    """A JWT of an issuer that the hub trusts, or what gives one, which is asked at each login; sent where a password is."""
     certificate: bool = False
     """A certificate that is shown over TLS: the `trust` is an `ssl.SSLContext` that has it."""
     guest: bool = False
@@ -134,8 +137,15 @@ class Credentials:
             )
         return doors
 
-    def content(self) -> Dict[str, Any]:
-        """The content of `login login`."""
+    async def ask_for_token(self) -> Optional[str]:
+        """The JWT for a login, if it is one by JWT."""
+        if self.token is None or isinstance(self.token, str):
+            return self.token
+        given = self.token()
+        return given if isinstance(given, str) else await given
+
+    def content(self, token: Optional[str] = None) -> Dict[str, Any]:
+        """The content of `login login`; `token` is what `ask_for_token` has given."""
         content: Dict[str, Any] = {"name": self.user}
         if self.password is not None:
             content["password"] = self.password
@@ -144,7 +154,7 @@ class Credentials:
         elif self.certificate:
             content["certificate"] = True
         else:
-            content = {"token": self.token} if self.token is not None else {"guest": True}
+            content = {"token": token} if self.token is not None else {"guest": True}
         if self.nickname is not None:
             content["nickname"] = self.nickname
         return content

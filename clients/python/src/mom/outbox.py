@@ -31,6 +31,10 @@ class Outbox:
         """What may wait, in bytes; one parcel always may."""
         self.most_open = 8 << 20
         """What streams of chunks that are open together may announce, in bytes."""
+        self.permits: Callable[[Entry], bool] = lambda entry: True
+        """Whether an entry may leave now; `wake` when that may have changed."""
+        self.held: Callable[[], None] = lambda: None
+        """Called when the most urgent entry may not."""
         self.clock = clock
         self._dropped = dropped
         self._queue: List[Entry] = []
@@ -163,18 +167,25 @@ class Outbox:
     async def send_all(self, connection: Connection, wrote: Callable[[Entry], None]) -> None:
         """Sends what waits and what comes, until the connection breaks or this is cancelled."""
         while True:
-            while not self._queue:
-                self._wake.clear()
-                await self._wake.wait()
             entry = self._next()
-            if entry.deadline is not None and entry.pieces is None and entry.deadline <= self.clock():
+            if entry is not None and entry.deadline is not None and entry.pieces is None and entry.deadline <= self.clock():
                 self._drop(entry, "expired")
-            else:
+            elif entry is not None and self.permits(entry):
                 await self._send(connection, entry, wrote)
+            else:
+                # What comes may be more urgent.
+                self._wake.clear()
+                if entry is not None:
+                    self.held()
+                await self._wake.wait()
 
-    def _next(self) -> Entry:
+    def wake(self) -> None:
+        """More may leave than before."""
+        self._wake.set()
+
+    def _next(self) -> Optional[Entry]:
         """The most urgent of those that can go on, or begin."""
-        return next(entry for entry in self._queue if entry in self._streams or self._may_begin(entry))
+        return next((entry for entry in self._queue if entry in self._streams or self._may_begin(entry)), None)
 
     def _may_begin(self, entry: Entry) -> bool:
         announced = sum(other.size for other in self._streams)

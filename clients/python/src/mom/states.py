@@ -8,6 +8,9 @@ from typing import Optional
 
 from .errors import WireError
 
+_LAST_ATTEMPT = 0.5
+"""So many seconds before the end of the grace time the last attempt of a resume begins, at most."""
+
 
 @dataclass(frozen=True)
 class LinkState:
@@ -43,7 +46,13 @@ class Reconnect:
     give_up_after: Optional[float] = None
     """The client is closed when attempts have failed for so long; `None` = never."""
 
-    def delay(self, attempt: int, at_least: Optional[float] = None) -> float:
-        """The delay before this attempt, from 0; no less than what the hub asked for."""
+    def delay(self, attempt: int, at_least: Optional[float] = None, grace: float = 0.0, left: float = 0.0) -> float:
+        """The delay before this attempt, from 0; no less than what the hub asked for.
+
+        While a link can be resumed, which is for `left` seconds of its `grace`, several attempts fall into that, and the last
+        of them just before its end.
+        """
         bound = min(self.most, self.first * 2 ** min(attempt, 32))
-        return max(random.uniform(0, bound), at_least or 0.0)
+        last = left - min(_LAST_ATTEMPT, grace / 8)
+        wait = random.uniform(0, bound) if last <= 0 else min(random.uniform(0, min(bound, grace / 4)), last)
+        return max(wait, at_least or 0.0)
