@@ -118,11 +118,17 @@ async function shootLab() {
   await token(bob).getByText("alice holds it").waitFor();
   await token(bob).getByRole("button", { name: "Grab", exact: true }).click();
   await bob.getByText("Refused").first().waitFor();
-  const refused = await token(bob).screenshot();
+  // The refusal lies over what is below the card.
+  const [card, below] = [await token(bob).boundingBox(), await token(bob).locator(".below").boundingBox()];
+  const refused = await bob.screenshot({ clip: { x: card.x, y: card.y, width: card.width, height: below.y + below.height - card.y } });
   await token(bob).getByRole("button", { name: "Ask the owner" }).first().click();
-  await token(alice).getByText("asks you for it").waitFor();
-  await write("refused-and-asked", [refused, await token(alice).screenshot()], 1000);
-  await token(alice).getByRole("button", { name: "Decline" }).click();
+  await token(bob).getByLabel("Why (optional)").fill("the red block is mine");
+  await token(bob).getByRole("button", { name: "Ask", exact: true }).click();
+  const news = alice.locator("mom-console .news");
+  await news.getByText("asks for /robot/token").waitFor();
+  await news.locator('button:not([aria-disabled="true"])', { hasText: "Decline" }).waitFor();
+  await write("refused-and-asked", [refused, await news.screenshot()], 1400);
+  await news.getByRole("button", { name: "Decline" }).click();
 
   // A list under way.
   const commands = alice.locator("mom-commands");

@@ -52,6 +52,29 @@ test("does not begin where something is in the way", () => {
   assert.equal(step(REST, { ...good, held: false, owns: false }), REST);
 });
 
+test("a reason that tells to do what is done is not said any more; what has come to pass is", () => {
+  for (const [reason, change] of [
+    ["no-token", { owns: false }],
+    ["stopped", { stopped: true }],
+    ["unknown", { unknownSince: 900 }],
+    ["link", { linked: false }],
+    ["no-picture", { age: undefined }],
+  ]) {
+    const locked = step(REST, { ...good, ...change });
+    assert.equal(locked.why.reason, reason);
+    const rest = step(locked, { ...good, ...change, held: false });
+    assert.equal(step(rest, { ...good, ...change, held: false }), rest, `${reason} holds`);
+    assert.deepEqual(step(rest, { ...good, held: false }), REST, reason);
+  }
+  const hidden = step(step(step(REST, good), { ...good, visible: false }), { ...good, held: false });
+  assert.equal(step(hidden, { ...good, held: false }), hidden);
+  // A stop is told until it is let go.
+  const stop = step(step(step(REST, good), { ...good, stopAt: 1500 }), { ...good, held: false });
+  const stopped = step(stop, { ...good, held: false, stopped: true });
+  assert.equal(stopped.why.reason, "stopped");
+  assert.deepEqual(step(stopped, { ...good, held: false }), REST);
+});
+
 test("is no faster in two directions than in one, and never faster than the arm", () => {
   assert.deepEqual(velocity([1, 0, 0, 0, 0], 50, 30), [50, 0, 0, 0, 0]);
   const [x, y, z] = velocity([1, 1, 1, 0, 0], 150, 30);

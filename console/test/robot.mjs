@@ -117,7 +117,12 @@ export class FakeRobot {
   }
 
   async #tellState() {
-    await this.channel.sendAcknowledged("state", this.#state, { echo: false });
+    try {
+      await this.channel.sendAcknowledged("state", this.#state, { echo: false });
+    } catch (error) {
+      // What ends it stops it as well, and then there is nobody to tell.
+      if (!this.ended) throw error;
+    }
   }
 
   async #obey() {
@@ -176,6 +181,7 @@ export class FakeRobot {
   }
 
   async end() {
+    this.ended = true;
     clearInterval(this.timer);
     await this.client.close();
   }

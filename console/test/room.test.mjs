@@ -264,3 +264,20 @@ test("a cursor behind the camera or in it has no handles", () => {
   assert.equal(reachOf(LAB.x, [1700, 0, 760, 0, 0], 85), undefined);
   assert.equal(reachOf(LAB.x, [1590, 0, 757, 0, 0], 85), undefined);
 });
+
+test("a pixel is that of the nearest block whose outline it is within, or of the table", async () => {
+  const { blockAt, tableAt } = await load("room/pick.ts");
+  const matrix = matrixOf(camera([700, 0, 500], [0, 0, 0], 600));
+  /** The edges of a cube on the table, corner by corner. */
+  const cube = (x, y, size = 50) => ({ points: [0, size].flatMap((z) => [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([dx, dy]) => [x + (dx * size) / 2, y + (dy * size) / 2, z])) });
+  const blocks = [cube(0, 0), cube(200, 100), cube(-60, 0)];
+  const near = (one, other) => assert.ok(Math.hypot(one[0] - other[0], one[1] - other[1]) < 1e-6, `${one} ${other}`);
+  for (const [index, place] of [[0, [0, 0, 50]], [1, [200, 100, 25]], [2, [-60, 0, 50]], [undefined, [200, -100, 0]]]) assert.equal(blockAt(matrix, blocks, project(matrix, place)), index, String(place));
+  // Behind the nearer one the other is not seen.
+  assert.equal(blockAt(matrix, [cube(-60, 0), cube(0, 0)], project(matrix, [24, 0, 40])), 1);
+  assert.equal(blockAt(matrix, [{ points: [] }, { points: [[0, 0, 0]] }], project(matrix, [0, 0, 0])), undefined);
+  near(tableAt(matrix, project(matrix, [120, -80, 0])), [120, -80]);
+  // Beside the workspace, and above the horizon.
+  assert.equal(tableAt(matrix, project(matrix, [-600, 0, 0])), undefined);
+  assert.equal(tableAt(matrix, [320, -5000]), undefined);
+});

@@ -1,10 +1,13 @@
 // The hub as panels see it: who is logged in, how the link is, what is owned, and what is watched.
-import type { CallName, Calls, Failure, HubEvent, Link, Login, Me, Owned, Picture, PlainFields, Previous, StandingStop, StopReport, Watch, Word } from "../worker/protocol.js";
+import type { CallName, Calls, Failure, Happening, HubEvent, Link, Login, Me, Owned, Picture, PlainFields, Previous, StandingStop, StopReport, Watch, Word } from "../worker/protocol.js";
 import { HubError, failureOf } from "./failure.js";
 import { HeardPeers } from "./heard.js";
 import { OrderedStops, isWithin } from "../worker/ordered.js";
+import { forgetNotices, keepNotices, keptNotices } from "./noted.js";
 import { type Port, open } from "./port.js";
+import { visible } from "./said.js";
 import { whyNot } from "./why.js";
+import { texts } from "../texts/index.js";
 
 /** What one who watches hears. */
 export interface Handlers {
@@ -25,6 +28,8 @@ export interface Notice {
 }
 
 const MOST_NOTICES = 200;
+/** Notices are kept so long after the first of them, ms: many may come at once. */
+const KEEP = 200;
 /** ms until a watch that was refused for now is tried again. */
 const AGAIN = 3000;
 
@@ -43,12 +48,16 @@ export class Hub {
   notices = $state.raw<readonly Notice[]>([]);
   /** Why a login failed. */
   refusal = $state.raw<Failure | null>(null);
+  /** By whom this page was put out of the hub, and why. */
+  expelled = $state.raw<{ by: string | undefined; text: string | undefined } | null>(null);
   /** Whether a login is under way. */
   connecting = $state(false);
   /** Where the hub is, as `mom-connection` says. */
   address = $state("");
   /** Whether a login that was kept has been tried, so that a person is to be asked. */
   asked = $state(false);
+  /** Whether a frame tells on every page what is asked of this page, so that panels need not. */
+  framed = $state(false);
   /** Of whom something was heard, how old. */
   readonly heard = new HeardPeers();
   /** How this page has logged in. */
@@ -73,9 +82,10 @@ export class Hub {
   /** What the hub says to pages of this origin, where it lets none in. */
   #origin: Failure | null = null;
 
-  constructor() {
+  constructor(readonly name = "") {
     this.#port = open();
     this.#port.onWord = (word) => this.#heard(word);
+    globalThis.addEventListener?.("pagehide", () => this.#keepNotices());
   }
 
   /** Whether requests can be answered now. */
@@ -93,11 +103,14 @@ export class Hub {
 
   async connect(login: Login): Promise<Me> {
     this.connecting = true;
-    [this.refusal, this.#origin, this.#trying] = [null, null, login.address];
+    [this.refusal, this.expelled, this.#origin, this.#trying] = [null, null, null, login.address];
     this.left = false;
     try {
       const me = await this.call("connect", login);
       [this.me, this.login] = [me, login];
+      // What another user was told is not told to this one.
+      if (this.#user !== me.user) this.notices = [...(this.#user === undefined ? this.notices : []), ...keptNotices(this.name, me.user)];
+      this.#user = me.user;
       this.onMe(me);
       for (const id of this.#watches.keys()) this.#begin(id);
       return me;
@@ -126,6 +139,7 @@ export class Hub {
   async close(): Promise<void> {
     [this.me, this.left, this.login] = [null, true, null];
     this.owned = new Map();
+    this.#forgetNotices();
     this.onMe(null);
     await this.call("close");
   }
@@ -209,6 +223,29 @@ export class Hub {
 
   note(tone: Notice["tone"], text: string, failure?: Failure): void {
     this.notices = [{ at: Date.now(), tone, text, ...(failure ? { failure } : {}) }, ...this.notices].slice(0, MOST_NOTICES);
+    this.#keeping ??= setTimeout(() => this.#keepNotices(), KEEP);
+  }
+
+  #keeping: ReturnType<typeof setTimeout> | undefined;
+  /** Whose notices they are. */
+  #user: string | undefined;
+
+  #keepNotices(): void {
+    clearTimeout(this.#keeping);
+    this.#keeping = undefined;
+    // Only the frame shows them after a reload; a page of others keeps its storage.
+    if (this.#user !== undefined && this.framed && this.notices.length) keepNotices(this.name, this.#user, this.notices);
+  }
+
+  #forgetNotices(): void {
+    clearTimeout(this.#keeping);
+    [this.notices, this.#keeping, this.#user] = [[], undefined, undefined];
+    forgetNotices(this.name);
+  }
+
+  clearNotices(): void {
+    this.notices = [];
+    forgetNotices(this.name);
   }
 
   /** The present time by the hub's clock, ms since 1970, if it is known. */
@@ -231,6 +268,8 @@ export class Hub {
         return this.onMe(word.me);
       case "owned":
         return this.#own(word.path, word.owned, word.reason, word.by);
+      case "asked":
+        return this.#isAsked(word.event);
       case "stop":
         this.order = word.report;
         return;
@@ -257,6 +296,24 @@ export class Hub {
       case "failed":
         return handlers?.failed?.(word.failure);
     }
+  }
+
+  #isAsked(event: Happening): void {
+    const { type, path, what } = event;
+    if (type === "expelled") {
+      const [by, text] = [what["by"], what["text"]].map((said) => (typeof said === "string" ? visible(said) : undefined));
+      if (path === "/") this.expelled = { by, text };
+      return this.note("warning", texts.login.expelled(path, by, text));
+    }
+    for (const listener of this.#askedListeners) listener(event);
+  }
+
+  readonly #askedListeners = new Set<(event: Happening) => void>();
+
+  /** Hears what others want of this page's tokens, and what they offer to it. */
+  onAsked(listener: (event: Happening) => void): () => void {
+    this.#askedListeners.add(listener);
+    return () => this.#askedListeners.delete(listener);
   }
 
   /** Since when it is not known whether what came at a time still holds: the link is down, or was since. */
@@ -312,6 +369,6 @@ const hubs = new Map<string, Hub>();
 /** The hub of this name; a page with one connection names none. */
 export function hubOf(name = ""): Hub {
   let hub = hubs.get(name);
-  if (!hub) hubs.set(name, (hub = new Hub()));
+  if (!hub) hubs.set(name, (hub = new Hub(name)));
   return hub;
 }

@@ -24,7 +24,11 @@ export async function contexts(hub: Hub): Promise<ContextInfo[]> {
 export class Selection {
   devices = $state.raw<readonly Device[]>([]);
   cameras = $state.raw<readonly string[]>([]);
+  /** All channels that were found. */
+  channels = $state.raw<readonly string[]>([]);
   device = $state<string | undefined>(undefined);
+  /** What a page is about instead, as long as it is looked at: a device, or null for none. */
+  #about = $state.raw<string | null | undefined>(undefined);
   /** By device, the camera that the user has chosen to see it by. */
   #chosen = $state.raw<ReadonlyMap<string, string>>(new Map());
   /** Cameras that have named a state of a device as what their picture shows. */
@@ -45,9 +49,21 @@ export class Selection {
     }
     // Nothing says of a channel that images are sent there, but names do.
     this.cameras = all.map(({ path }) => path).filter((path) => /(^|\/)(camera|cam|video)[^/]*(\/|$)/i.test(path));
+    this.channels = all.map(({ path }) => path);
     this.devices = devices;
     const first = devices.find(({ path }) => !this.cameras.includes(path)) ?? devices[0];
     if (!devices.some(({ path }) => path === this.device)) this.device = first?.path;
+  }
+
+  /** The device that the line is about which is always seen. */
+  get shown(): string | undefined {
+    return this.#about === undefined ? this.device : (this.#about ?? undefined);
+  }
+
+  /** A page is about this device, or about none, until the function that it gives is called. */
+  about(device: string | null): () => void {
+    this.#about = device;
+    return () => (this.#about = undefined);
   }
 
   /** The camera by which the device is seen: the one that was chosen for it, one beside it, or the first. */

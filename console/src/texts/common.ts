@@ -36,7 +36,7 @@ export const common = {
     rule: "Rule",
     owner: "Owner",
     yourLevel: "Your level",
-    place: "Place in the queue",
+    place: "Place, if you wait",
     when: "Possible again",
     in: (ms: number) => `in ${left(ms)}`,
     nearest: "Did you mean",

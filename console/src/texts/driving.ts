@@ -3,7 +3,8 @@ import { duration } from "./format.js";
 
 export const commands = {
   title: "Commands",
-  none: "No commands yet. Write one above, such as: move 100 50 200 0 0; grip close",
+  none: "No commands yet. Write one above.",
+  noneArm: "Such as: move 100 50 200 0 0; grip close",
   line: "New command",
   placeholder: "move x y z spin tilt; grip close",
   add: "Add",
@@ -291,5 +292,10 @@ export const drive = {
   none: "There is no device here whose commands a token guards, or you may not know of it.",
   looking: "Looking for devices…",
   again: "Look again",
+  others: {
+    fleet: "This is a robot on wheels: it has none of an arm's controls. It is driven on the page Fleet, or by commands below.",
+    simulacrum: "This is a mirrored robot: it has none of an arm's controls. Its elements are on the page Simulacrum; commands can be written below.",
+  },
+  toOthers: { fleet: "To Fleet", simulacrum: "To its simulacrum" },
   pan: "This device turns a camera: it has no live driving.",
 };

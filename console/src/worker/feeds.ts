@@ -34,7 +34,7 @@ function messageOf(client: Client, event: MessageEvent, answer: boolean): Messag
   return { type: "message", name, sender, said: parcel.timestamp?.toDate().getTime(), content, cut, size, id, reference, fence, history, ...birth(client, parcel), arrived: Date.now() };
 }
 
-function happeningOf(event: Exclude<Event, MessageEvent>, path: string): Happening {
+export function happeningOf(event: Exclude<Event, MessageEvent>, path: string): Happening {
   const arrived = Date.now();
   if (event.type === "refused") return { type: "refused", path: event.path ?? path, what: event.id === undefined ? {} : { id: event.id }, failure: failure(event.error), arrived };
   if (event.type === "other") return { type: event.parcel.name, path, what: plainFields(event.parcel.content), arrived };

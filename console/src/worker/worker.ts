@@ -1,5 +1,6 @@
 // The worker: the hub's client, away from the page's thread.
 import { type Client, type Parcel, MomError, type TokenGuard, fieldsOf } from "mom-client";
+import { Asking } from "./asking.js";
 import { Feeds, birth } from "./feeds.js";
 import { Jogging } from "./jogging.js";
 import { OrderedStops, isWithin } from "./ordered.js";
@@ -33,12 +34,15 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
   let nextId = FIRST_ID;
   const session = new Session(say, (client) => {
     feeds.reset(client);
+    asking.reset(client);
     stopping.reset(client);
   }, () => feeds.ask());
   const standing = new Standing(say, () => session.isUp);
   const stopping: Stopping = new Stopping(say, () => session.login, () => session.isUp, standing);
+  const asking = new Asking(say);
   const feeds: Feeds = new Feeds(say, (path, event, client) => {
     standing.heard(path, event);
+    asking.heard(path, event, client);
     if (event.type !== "message" || event.name !== "state" || event.history) return;
     const said = fieldsOf(event.content);
     if (typeof said["stopped"] === "boolean") stopping.heard(path, event.sender, said, unreachedSince(said, ahead(client, event.parcel)));
@@ -53,7 +57,9 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
   }
 
   async function obtain(path: string, how: (token: Awaited<ReturnType<Client["token"]>>) => Promise<TokenGuard>): Promise<Owned> {
-    return session.own(await how(await session.client.token(path)));
+    const token = await session.client.token(path);
+    asking.follow(path);
+    return session.own(await how(token));
   }
 
   const answers: Answers = {

@@ -5,4 +5,4 @@ import "../cursor/index.js";
 import Cameras from "./Cameras.svelte";
 import css from "./cameras.css?inline";
 
-define("mom-cameras", Cameras, lines + css, ["device", "poses", "without"]);
+define("mom-cameras", Cameras, lines + css, ["cursorless", "device", "poses", "without"]);

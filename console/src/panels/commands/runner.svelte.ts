@@ -3,6 +3,8 @@ import { DeviceState, type Status } from "../../hub/device.svelte.js";
 import { HubError, failureOf } from "../../hub/failure.js";
 import { number } from "../../hub/fields.js";
 import type { Hub } from "../../hub/hub.svelte.js";
+import { kindOf } from "../../hub/kind.js";
+import { selectionOf } from "../../hub/selection.svelte.js";
 import { texts } from "../../texts/index.js";
 import type { Failure } from "../../worker/protocol.js";
 import { type Item, type Items, clearFinished, isOpen, next, obstacle, progress, restore, save } from "./list.js";
@@ -79,7 +81,8 @@ export class CommandList {
   /** What the device reads; undefined if that is not known. */
   get language(): Language | undefined {
     const { pose, state } = this.device;
-    if (!pose && typeof state["pan"] === "number") return "mount";
+    const kind = kindOf(this.path, state, selectionOf(this.hub).channels);
+    if (kind !== undefined) return kind === "arm" || kind === "mount" ? kind : undefined;
     return pose || !Object.keys(state).length ? "arm" : undefined;
   }
 

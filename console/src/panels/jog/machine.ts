@@ -81,10 +81,42 @@ function obstacle(before: Drive, inputs: Inputs): Why | undefined {
   );
 }
 
+/** Whether a reason of before says what is not so any more, and tells a person to do what is done. What has come to pass, as a hidden page, stays said. */
+function isStale({ reason }: Why, inputs: Inputs): boolean {
+  switch (reason) {
+    case "no-token":
+    case "token-lost":
+      return inputs.owns;
+    case "stopped":
+      return !inputs.stopped;
+    case "link":
+      return inputs.linked;
+    case "unknown":
+      return inputs.unknownSince === undefined;
+    case "no-picture":
+      return inputs.unseen || inputs.age !== undefined;
+    case "dead-man":
+      return inputs.pad.deadMan;
+    default:
+      return false;
+  }
+}
+
+/** A rest with its reason, as far as that still holds. */
+function rest(why: Why | undefined, inputs: Inputs): Drive {
+  if (!why) return REST;
+  // Whoever has pressed STOP is told that it holds, and no more when it is let go.
+  if (why.reason === "stop" && inputs.stopped) return { phase: "rest", why: { reason: "stopped", text: undefined } };
+  return isStale(why, inputs) ? REST : { phase: "rest", why };
+}
+
 /** What follows from the present. Once locked it stays so until everything is let go. */
 export function step(before: Drive, inputs: Inputs): Drive {
   if (before.phase === "locked") return inputs.held ? before : { phase: "rest", why: before.why };
-  if (before.phase === "rest" && !inputs.held) return before;
+  if (before.phase === "rest" && !inputs.held) {
+    const now = rest(before.why, inputs);
+    return now.phase === "rest" && now.why === before.why ? before : now;
+  }
   const why = obstacle(before, inputs);
   if (why) return { phase: "locked", why };
   if (!inputs.held) return REST;

@@ -6,4 +6,4 @@ import css from "./stop.css?inline";
 import stoppedCss from "./stopped.css?inline";
 
 define("mom-stop", Stop, free + css, ["path", "framed"]);
-define("mom-stopped", Stopped, stoppedCss, ["path"]);
+define("mom-stopped", Stopped, stoppedCss, ["path", "framed"]);
