@@ -13,6 +13,7 @@ use parking_lot::Mutex;
 use crate::client::{Client, Handle};
 use crate::clock::{HubClock, Wall};
 use crate::doors::Doors;
+use crate::installation::Installation;
 use crate::login::{Connector, Local};
 use crate::proof::Credentials;
 use crate::shared::{Settings, Shared};
@@ -98,6 +99,7 @@ impl Builder {
                 connect_timeout: CONNECT_TIMEOUT,
                 reconnect: Some(Reconnect::default()),
                 event_buffer: 1024,
+                installation: Installation::unknown(),
             },
             waits: false,
             reporter: None,
@@ -247,6 +249,14 @@ impl Builder {
     /// The most events that wait for one subscriber; 1024 by default.
     pub fn event_buffer(mut self, events: usize) -> Builder {
         self.settings.event_buffer = events;
+        self
+    }
+
+    /// Which installed program a device is: the same after each start, and no other's, 64 bytes at most. Where a channel has one
+    /// device, a program that is started later takes the place of its own earlier start, which hears
+    /// [`Event::Expelled`](crate::Event::Expelled) and halts; any other device is refused as `occupied`. By default each client is another one.
+    pub fn installation(mut self, id: &str) -> Builder {
+        self.settings.installation = Installation::new(id);
         self
     }
 

@@ -189,7 +189,7 @@ impl Shared {
         state.status = Status::Up;
         self.begin_link(&mut state, LinkSecret::read(&welcome.content));
         state.me = Arc::new(welcome);
-        let places = state.places.rejoin();
+        let places = state.places.rejoin(&self.settings.installation);
         state.rejoining = places.len();
         if places.is_empty() {
             state.subscribers.deliver_unaddressed(Event::Rejoined);

@@ -48,6 +48,7 @@ mod holding;
 mod ids;
 mod info;
 mod inhibit;
+mod installation;
 mod key;
 mod latch;
 mod link;

@@ -17,6 +17,7 @@ use crate::guards::Guards;
 use crate::handover::Handovers;
 use crate::ids;
 use crate::info::map_of;
+use crate::installation::Installation;
 use crate::login::Welcome;
 use crate::outbox::{Capacity, Dropped, Entry, Follows, Message, Outbox};
 use crate::pending::{AnswerTo, OpenRequests};
@@ -40,6 +41,8 @@ pub(crate) struct Settings {
     pub(crate) connect_timeout: Duration,
     pub(crate) reconnect: Option<Reconnect>,
     pub(crate) event_buffer: usize,
+    /// Which device this program is, where it is one.
+    pub(crate) installation: Installation,
 }
 
 /// The client's state behind one lock that is never held over an await.
@@ -377,7 +380,7 @@ impl Shared {
                 if let Some(place) = state.places.get(path, serial) {
                     place.terms = terms;
                 }
-                let content = terms.content(&state.places.latch(path));
+                let content = terms.content(&state.places.latch(path), &self.settings.installation);
                 asked = self.ask_in(&mut state, join(path, content), &mut waiter);
             }
             wants.push(want);
@@ -423,7 +426,7 @@ impl Shared {
     /// Joins a channel again, on other terms.
     pub(crate) async fn set_terms(&self, path: &Path, terms: Terms) -> Result<(), ClientError> {
         // An empty map too: without content the hub leaves everything as it was.
-        let content = terms.map(&self.lock().places.latch(path));
+        let content = terms.map(&self.lock().places.latch(path), &self.settings.installation);
         let parcel = verb(Family::Context, "join", path).content(content);
         let reply = self.request(parcel).await?;
         let mut state = self.lock();

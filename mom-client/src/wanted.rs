@@ -7,6 +7,7 @@ use mom_proto::{ContextNumber, Map, Path, Thinning};
 use tokio::sync::oneshot;
 
 use crate::info::number;
+use crate::installation::Installation;
 use crate::{ClientError, Event, FenceGate, Latch, StopState};
 
 pub(crate) type Joined = Result<Arc<Map>, ClientError>;
@@ -48,16 +49,18 @@ pub(crate) struct Terms {
 
 impl Terms {
     /// For the hub; none where there is nothing to say. A device says what it has heard of stops.
-    pub(crate) fn content(self, latch: &Latch) -> Option<Map> {
-        (self.thinning.thins() || self.device).then(|| self.map(latch))
+    pub(crate) fn content(self, latch: &Latch, installation: &Installation) -> Option<Map> {
+        (self.thinning.thins() || self.device).then(|| self.map(latch, installation))
     }
 
     /// The same, also where there is nothing to say any more.
-    pub(crate) fn map(self, latch: &Latch) -> Map {
+    pub(crate) fn map(self, latch: &Latch, installation: &Installation) -> Map {
         let mut map = Map::new();
         self.thinning.describe(&mut map);
         if self.device {
-            map.set("device", latch.word());
+            let mut word = latch.word();
+            installation.describe(&mut word);
+            map.set("device", word);
         }
         map
     }
@@ -249,13 +252,17 @@ impl WantedContexts {
     }
 
     /// The link is back: returns all contexts, parents first, to be joined again.
-    pub(crate) fn rejoin(&mut self) -> Vec<(Path, u64, Option<Map>)> {
+    pub(crate) fn rejoin(&mut self, installation: &Installation) -> Vec<(Path, u64, Option<Map>)> {
         let again = |(path, place): (&Path, &mut WantedContext)| {
             place.phase = JoinPhase::Joining {
                 again: true,
                 waiters: Vec::new(),
             };
-            (path.clone(), place.serial, place.terms.content(&place.latch))
+            (
+                path.clone(),
+                place.serial,
+                place.terms.content(&place.latch, installation),
+            )
         };
         self.places.iter_mut().map(again).collect()
     }

@@ -39,6 +39,8 @@ impl Code {
     pub const STORAGE_FAILED: Code = Code::new(107, "storage-failed");
     /// What waits of this user is more than of any other, and the hub has no memory for more.
     pub const OVER_MEMORY: Code = Code::new(108, "over-memory");
+    /// Another device obeys in that channel, and the channel has one at most.
+    pub const OCCUPIED: Code = Code::new(109, "occupied");
 
     /// A manager refused the request.
     pub const DENIED: Code = Code::new(200, "denied");
@@ -154,6 +156,7 @@ impl Code {
         Code::OVER_QUOTA,
         Code::STORAGE_FAILED,
         Code::OVER_MEMORY,
+        Code::OCCUPIED,
         Code::DENIED,
         Code::BAD_LOGIN,
         Code::NOT_LOGGED_IN,

@@ -17,6 +17,7 @@ use tokio::sync::oneshot;
 
 use super::{Capacity, Entry};
 use crate::clock::HubClock;
+use crate::installation::Installation;
 use crate::login::Welcome;
 use crate::pending::AnswerTo;
 use crate::proof::Credentials;
@@ -115,6 +116,7 @@ impl Talker {
             connect_timeout: Duration::from_secs(1),
             reconnect: None,
             event_buffer: 1024,
+            installation: Installation::unknown(),
         };
         let credentials = Credentials {
             user: "alice".to_owned(),

@@ -12,6 +12,7 @@ use crate::asking::wish::Wish;
 use crate::content::{bad, micros, path as read_path};
 use crate::token::state::{SafeState, Token};
 use crate::tree::context::{Channel, Context, GuardSpec, Presence, Role};
+use crate::tree::spec::Devices;
 use crate::world::{Timer, World};
 use crate::{ContextSpec, Effect, KeepArgs, PeerId};
 
@@ -212,6 +213,7 @@ impl World {
         only(spec.delivery.is_some(), "delivery", ContextKind::Channel)?;
         only(spec.overflow.is_some(), "overflow", ContextKind::Channel)?;
         only(spec.pace.is_some(), "pace", ContextKind::Channel)?;
+        only(spec.devices.is_some(), "devices", ContextKind::Channel)?;
         only(spec.keep.is_some(), "keep", ContextKind::Channel)?;
         only(spec.safe.is_some(), "safe", ContextKind::Token)?;
         only(spec.lease.is_some(), "lease", ContextKind::Token)?;
@@ -230,6 +232,7 @@ impl World {
                 delivery: spec.delivery()?,
                 overflow: spec.overflow()?,
                 keep: spec.keep.map(KeepArgs::read).transpose()?,
+                several: spec.devices.map(|devices| devices == Devices::Several),
             })),
             ContextKind::Token => make_token(spec, terms).map(|token| Role::Token(Box::new(token))),
         }

@@ -7,6 +7,7 @@ use mom_proto::event;
 use mom_proto::{ContextNumber, Path, Thinning};
 
 use crate::tree::context::Context;
+use crate::tree::installation::Installation;
 use crate::tree::peers::Peer;
 use crate::world::World;
 use crate::world::steps::{Budget, Job, Leaving, PAUSE, STEP, Then};
@@ -62,6 +63,21 @@ impl World {
             if !self.grown.contains(&number) {
                 self.changed.insert(number);
             }
+        }
+    }
+
+    /// Notes which installation a device is; only the hub looks at that, so no route changes.
+    pub(crate) fn set_installation(
+        &mut self,
+        number: ContextNumber,
+        peer: PeerId,
+        installation: Option<Installation>,
+    ) {
+        let context = self.tree.get_mut(number);
+        if let Some(member) = context.and_then(|context| context.members.get_mut(&peer))
+            && member.installation != installation
+        {
+            Arc::make_mut(member).installation = installation;
         }
     }
 

@@ -4,5 +4,6 @@ mod delete;
 mod link;
 pub(crate) mod make;
 mod membership;
+mod occupancy;
 mod presence;
 mod steps;

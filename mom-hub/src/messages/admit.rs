@@ -8,7 +8,7 @@ use mom_managers::{Answer, Denial, PeerFacts, Rate};
 use mom_proto::nearest::nearest;
 use mom_proto::{Code, Family, Fence, HISTORY, Micros, PRIORITY, Parcel, Time, WireError, event};
 
-use super::age::{Aged, age_of, aged, check_age, check_life, is_ahead, is_before, is_within};
+use super::age::{Aged, age_of, aged, check_age, check_life, is_ahead, is_before, is_within, unknown_age};
 use super::route::{Guard, GuardOwner, Route};
 use crate::{Member, PeerClock, PeerId};
 
@@ -181,8 +181,13 @@ pub fn admit_with(
     );
     let fence = check_guard(route, member, parcel, now)?;
     let age = check_age(parcel, wall, ingress.clock.as_ref())?;
-    if age.is_none() && ingress.waited > 0 {
-        check_life(parcel, ingress.waited)?;
+    if age.is_none() && parcel.expires.is_some() {
+        if fence.is_some() {
+            return Err(unknown_age(parcel));
+        }
+        if ingress.waited > 0 {
+            check_life(parcel, ingress.waited)?;
+        }
     }
     if route.lifted.is_some() {
         check_lifted(route, parcel, age, wall)?;

@@ -1,8 +1,13 @@
 //! The age of a message at ingress, by the hub's clock (M6, design §7).
 
+use std::time::Duration;
+
 use mom_proto::{Code, Micros, Parcel, Time, WireError, event};
 
 use crate::PeerClock;
+
+/// When a clock is likely to be measured.
+const MEASURED: Duration = Duration::from_millis(200);
 
 /// An age and how wrong it may be, both in µs.
 pub(crate) type Aged = (i64, u64);
@@ -84,6 +89,24 @@ pub(crate) fn check_life(parcel: &Parcel, age: impl Into<i128>) -> Result<(), Wi
         age / 1000
     );
     Err(WireError::new(Code::EXPIRED, text).slot("expires"))
+}
+
+/// Why a message that a token guards does not pass that expires, and of which nobody knows how old it is: counted from its arrival, a command
+/// that has waited for a minute in a network would move the device.
+#[cold]
+pub(crate) fn unknown_age(parcel: &Parcel) -> WireError {
+    match parcel.timestamp {
+        None => {
+            let text = "it expires so long after its timestamp, which it does not have";
+            WireError::new(Code::BAD_SLOT, text).slot("timestamp")
+        }
+        Some(_) => {
+            let text = "its age is not known, as the hub has not measured its sender's clock yet; answer the hub's pings, and say it again";
+            WireError::new(Code::TRY_LATER, text)
+                .slot("expires")
+                .retry_after(MEASURED)
+        }
+    }
 }
 
 #[cfg(test)]

@@ -425,6 +425,43 @@ fn what_has_waited_too_long_is_over() {
 }
 
 #[test]
+fn what_a_token_guards_and_expires_needs_a_known_age() {
+    let clock = PeerClock {
+        offset: ClockOffset { micros: 0, error: 0 },
+        future: 1_000,
+    };
+    let at = |name, expires, stamped, clock| {
+        let mut parcel = message(name);
+        parcel.expires = expires;
+        parcel.timestamp = Time::from_micros(10_000).filter(|_| stamped);
+        let ingress = Ingress {
+            wall: Time::from_micros(10_000).expect("a time"),
+            clock,
+            ..ingress(0)
+        };
+        admit(&route(), ALICE, &mut parcel, &ingress)
+            .map(drop)
+            .map_err(|error| error.code)
+    };
+    for (name, expires, stamped, clock, said) in [
+        ("command", Some(500), true, Some(clock), Ok(())),
+        ("command", Some(500), true, None, Err(Code::TRY_LATER)),
+        ("command", Some(500), false, Some(clock), Err(Code::BAD_SLOT)),
+        ("command", Some(500), false, None, Err(Code::BAD_SLOT)),
+        // Without an end its age is its device's matter.
+        ("command", None, true, None, Ok(())),
+        // Nothing moves by it.
+        ("say", Some(500), true, None, Ok(())),
+    ] {
+        assert_eq!(
+            at(name, expires, stamped, clock),
+            said,
+            "{name} {expires:?} {stamped}"
+        );
+    }
+}
+
+#[test]
 fn a_message_goes_to_whom_it_is_addressed() {
     let route = route();
     let to = |address: Option<&[&str]>, echo| {

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use mom_proto::{Code, ContextNumber, Family, Fence, Map, Parcel, STOP, Value, WireError, event};
 
 use super::map_of;
+use crate::tree::installation;
 use crate::world::World;
 use crate::world::stops::{Called, Kept, Rest, Standing, Word};
 use crate::{Effect, PeerId};
@@ -40,10 +41,11 @@ impl DeviceWord {
                 ));
             }
         };
-        if let Some((key, _)) = map.iter().find(|(key, _)| ![STOP, "stopped"].contains(&&**key)) {
+        let is_known = |key: &str| [STOP, "stopped"].contains(&key) || installation::KEYS.contains(&key);
+        if let Some((key, _)) = map.iter().find(|(key, _)| !is_known(key)) {
             return Err(bad(
                 &format!("content/device/{key}"),
-                "device has the keys stop and stopped",
+                "device has the keys stop, stopped, installation and begun",
             ));
         }
         let number = match map.get(STOP) {

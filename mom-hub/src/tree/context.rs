@@ -80,6 +80,8 @@ pub(crate) struct Channel {
     pub(crate) delivery: Delivery,
     pub(crate) overflow: Overflow,
     pub(crate) keep: Option<Keep>,
+    /// Whether several devices may be here; none = only where no token guards it.
+    pub(crate) several: Option<bool>,
 }
 
 #[derive(Clone, Debug)]

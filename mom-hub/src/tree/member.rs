@@ -5,6 +5,7 @@ use std::sync::Arc;
 use mom_managers::{Answer, PeerFacts, Rate};
 use mom_proto::{Map, Micros, Thinning, event};
 
+use super::installation::Installation;
 use crate::PeerId;
 
 /// Messages whose verdicts are remembered one by one; a sender of more names is asked about each time.
@@ -21,6 +22,8 @@ pub struct Member {
     pub thinning: Thinning,
     /// Whether it is a device: one that obeys `stop` here, and says so.
     pub device: bool,
+    /// Which one, if it says so.
+    pub(crate) installation: Option<Installation>,
     standing: Vec<StandingVerdict>,
     // An earlier message waits for a verdict, so later ones have to come to the hub too and wait behind it.
     held: bool,
@@ -57,6 +60,7 @@ impl Member {
             facts,
             thinning: Thinning::default(),
             device: false,
+            installation: None,
             standing: Vec::new(),
             held: false,
         }
@@ -67,6 +71,7 @@ impl Member {
         Member {
             thinning: self.thinning,
             device: self.device,
+            installation: self.installation.clone(),
             held: self.held,
             ..Member::new(self.peer, facts)
         }
@@ -87,6 +92,7 @@ impl Member {
         Member {
             thinning,
             device,
+            installation: self.installation.clone().filter(|_| device),
             ..self.clone()
         }
     }
@@ -144,6 +150,7 @@ impl Member {
             facts: Arc::clone(&self.facts),
             thinning: self.thinning,
             device: self.device,
+            installation: self.installation.clone(),
             standing,
             held: self.held,
         })

@@ -4,6 +4,7 @@
 
 pub(crate) mod clock;
 pub(crate) mod context;
+pub(crate) mod installation;
 pub(crate) mod keep;
 pub(crate) mod latch;
 pub(crate) mod member;

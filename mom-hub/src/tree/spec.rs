@@ -48,6 +48,9 @@ pub struct ContextSpec {
     /// Channels: bytes that their devices read in a second; absent = not known.
     #[serde(default)]
     pub pace: Option<u32>,
+    /// Channels: how many devices may obey there; absent = one where a token guards it, else several.
+    #[serde(default)]
+    pub devices: Option<Devices>,
     /// Channels: messages kept for late joiners; absent = none.
     #[serde(default)]
     pub keep: Option<KeepArgs>,
@@ -69,6 +72,16 @@ pub struct ContextSpec {
     /// Tokens: whether a stop of a channel that it guards ends its owner's grant; absent = no.
     #[serde(default)]
     pub stop_ends_grant: Option<bool>,
+}
+
+/// How many devices may be in a channel at a time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Devices {
+    /// Another one is refused as `occupied`.
+    One,
+    /// All obey what is said to all.
+    Several,
 }
 
 /// The guard of a channel.

@@ -39,6 +39,14 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
             if let Some(pace) = context.pace {
                 info.set("pace", pace);
             }
+            info.set(
+                "devices",
+                if context.has_one_device() {
+                    "one"
+                } else {
+                    "several"
+                },
+            );
             if let Some(member) = context.members.get(&request.peer) {
                 member.describe_terms(&mut info);
             }

@@ -167,7 +167,7 @@ fn carry_out(
         Verb::Lookup => lookup::on(world, request, out),
         Verb::List => list::on(world, request, out),
         Verb::Info => info::on(world, request, out),
-        Verb::Join => join::on(world, request, out),
+        Verb::Join => join::on(world, questions, request, out),
         Verb::Leave => leave::on(world, questions, request, out),
         Verb::Delete => delete::on(world, request, out),
         Verb::Members => members::on(world, request, out),

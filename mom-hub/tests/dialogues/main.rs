@@ -13,6 +13,7 @@ mod judge;
 mod large;
 mod link;
 mod made;
+mod occupancy;
 mod presence;
 mod review;
 mod safe_first;

@@ -242,7 +242,7 @@ fn ended(client: &Client) -> ClientError {
         LinkState::Closed(error) => ClientError::Closed(error.clone()),
         _ => WireError::new(
             Code::UNKNOWN_PATH,
-            "the hub deleted the arm's channel, or its zones",
+            "the hub deleted the arm's channel, or its zones, or put the arm out of there",
         )
         .into(),
     }

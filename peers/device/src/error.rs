@@ -308,6 +308,26 @@ mod tests {
     }
 
     #[test]
+    fn the_protocol_has_a_row_for_each() {
+        let document = include_str!("../../../docs/PROTOCOL.md");
+        let row = |line: &str| -> Option<(u16, String, bool)> {
+            let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+            let number = cells.get(1)?.parse().ok().filter(|number| *number > 5000)?;
+            let again = cells.get(4)?.contains("`retry`");
+            Some((number, cells.get(2)?.trim_matches('`').to_owned(), again))
+        };
+        let rows: Vec<(u16, String, bool)> = document.lines().filter_map(row).collect();
+        let known = |(number, word, _): &(u16, String, bool)| (*number, word.clone());
+        assert_eq!(
+            rows.iter().map(known).collect::<Vec<_>>(),
+            ErrorName::ALL.map(|name| (name.code(), name.as_str().to_owned()))
+        );
+        for (name, (_, word, again)) in ErrorName::ALL.into_iter().zip(&rows) {
+            assert!(*again || !name.is_retryable(), "{word}");
+        }
+    }
+
+    #[test]
     fn the_statement_stands_in_the_words() {
         let error = DeviceError::new(ErrorName::JointLimit, "too far").at_statement(3);
         assert_eq!(

@@ -209,6 +209,10 @@ impl<M: Machine> DevicePeer<M> {
         let now = self.now();
         self.server.handle(event, &self.gate, age, now, &mut self.out);
         match event {
+            Event::Expelled { peer, text, path, .. } if *peer == self.client.name() => {
+                let why = text.as_deref().unwrap_or("nobody says why");
+                tracing::warn!(channel = %path, why, "this device was put out of its channel, and stands");
+            }
             Event::LinkDown => self.outlet.set_down(true),
             Event::Rejoined | Event::Resumed => self.outlet.set_down(false),
             _ => {}

@@ -177,6 +177,14 @@ impl<M: Machine> DeviceServer<M> {
                 self.report(out);
                 self.tell_own_stop(out);
             }
+            Event::Expelled { peer, text, .. } if self.name.as_ref() == Some(peer) => {
+                let why = text.as_deref().unwrap_or("nobody says why");
+                self.halt(
+                    &format!("this device was put out of its channel: {why}"),
+                    now,
+                    out,
+                );
+            }
             Event::Grabbed { fence, .. } => self.take_owner(*fence, now, out),
             Event::Released { fence, reason, .. } => {
                 let agreed = matches!(Reason::from_word(reason), Some(Reason::Given | Reason::Returned));

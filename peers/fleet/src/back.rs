@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use mom_client::{Channel, ClientError, Event};
+use mom_client::{Channel, ClientError, Code, Event};
 use tokio::time::sleep;
 
 /// Until it is tried again, at first and at most.
@@ -19,11 +19,17 @@ where
     F: Future<Output = Result<Channel, ClientError>>,
 {
     let mut pause = FIRST_PAUSE;
+    let mut told = false;
     loop {
         sleep(pause).await;
         pause = (pause * 2).min(MOST_PAUSE);
         match enter().await {
             Err(ClientError::Closed(why)) => return Err(ClientError::Closed(why)),
+            // It waits for that one's end, however long it takes.
+            Err(error) if error.code() == Some(&Code::OCCUPIED) && !told => {
+                told = true;
+                tracing::warn!(%error, "another device is there");
+            }
             Err(error) => tracing::debug!(%error, "a channel is not back"),
             entered => return entered,
         }

@@ -9,7 +9,7 @@ use std::time::SystemTime;
 use mom_brs::Frame;
 use mom_brs::Table;
 use mom_brs::file::EXTENDED;
-use mom_client::{Channel, Client, ClientError, Path};
+use mom_client::{Channel, Client, ClientError, Code, Path};
 use mom_device::DeviceTime;
 use mom_fleet::{ensure_session, enter, enter_status, stay};
 use tokio::sync::watch;
@@ -157,7 +157,9 @@ pub async fn run(
             group: line.group.clone(),
         };
         let channel = match place.enter().await {
-            Ok(channel) => channel,
+            Ok(channel) => Some(channel),
+            // The others need not wait for that one's end.
+            Err(error) if error.code() == Some(&Code::OCCUPIED) => None,
             Err(error) => {
                 entered = Err(error);
                 break;

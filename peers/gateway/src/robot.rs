@@ -67,18 +67,21 @@ impl Robot {
     /// Obeys in its channel, and stands while there is none; until the program stops, or the hub does not want its gateway any more.
     pub(crate) async fn live(
         mut self,
-        mut channel: Channel,
+        mut channel: Option<Channel>,
         mut stopping: watch::Receiver<bool>,
     ) -> Result<(), ClientError> {
         loop {
-            let mut ended = self.obey(&channel, &mut stopping).await;
+            let mut ended = match &channel {
+                Some(channel) => self.obey(channel, &mut stopping).await,
+                None => Ended::Gone,
+            };
             if ended == Ended::Gone {
                 tracing::warn!(
                     unit = self.line.unit,
-                    "the robot's channel is gone; it stands until that is back"
+                    "the robot has no place in its channel; it stands until it has"
                 );
                 match self.wait_for_channel(&mut stopping).await {
-                    Ok(Some(back)) => channel = back,
+                    Ok(Some(back)) => channel = Some(back),
                     Ok(None) => ended = Ended::Shutdown,
                     Err(error) => {
                         self.stand().await;

@@ -7,6 +7,8 @@ use anyhow::{Context, anyhow};
 use clap::Args;
 use mom_client::{Builder, Client, Identity, Key, Proof};
 
+use crate::installation::installation;
+
 /// For how long the hub keeps the peer's place when the connection is lost.
 const GRACE: Duration = Duration::from_secs(30);
 
@@ -60,6 +62,10 @@ impl HubArgs {
             .proof(self.proof()?)
             .heartbeat(Duration::from_millis(self.heartbeat))
             .wait_for_hub();
+        let builder = match installation() {
+            Some(id) => builder.installation(&id),
+            None => builder,
+        };
         Ok(match self.report {
             true => builder.report_failures(program, version),
             false => builder,

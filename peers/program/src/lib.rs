@@ -9,6 +9,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
 mod hub;
+mod installation;
 
 pub use hub::HubArgs;
 

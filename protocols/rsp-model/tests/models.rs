@@ -27,6 +27,17 @@ fn cubos_packets_have_the_papers_sizes() {
 }
 
 #[test]
+fn the_page_shows_the_text_behind_the_hash() {
+    let page = include_str!("../../../docs/rsp.md");
+    let rest = page.split_once("```canonical\n").expect("a block").1;
+    let shown = rest.split_once("```").expect("its end").0;
+    let model = Model::read(IR_ROBOT).unwrap();
+    assert_eq!(shown.trim_end(), model.canonical().trim_end());
+    let hash: String = model.hash().iter().map(|byte| format!("{byte:02x}")).collect();
+    assert!(page.contains(&hash), "{hash}");
+}
+
+#[test]
 fn what_does_not_fit_a_packet_travels_in_fragments() {
     let model = Model::read(CUBO).unwrap();
     let fragmented: Vec<&str> = model

@@ -95,6 +95,39 @@ fn an_uplink_has_values_acknowledgements_and_events() {
     );
 }
 
+/// The page shows the bytes of the tests above, in the same order.
+#[test]
+fn the_page_shows_these_bytes() {
+    let page = include_str!("../../../docs/rsp.md");
+    let block = |kind: &str| -> Vec<String> {
+        let rest = page.split_once(&format!("```{kind}\n")).expect("a block").1;
+        let inside = rest.split_once("```").expect("its end").0;
+        inside.lines().map(|line| line.replace(' ', "")).collect()
+    };
+    assert_eq!(
+        block("header"),
+        ["011234".to_owned() + "0181abcd01020304112233445566fedc07"]
+    );
+    let hex = |items: &[(u8, Item<'_>)]| -> String {
+        written(items).iter().map(|byte| format!("{byte:02x}")).collect()
+    };
+    let wheels = [
+        (0, Item::Value(&[10][..])),
+        (1, Item::Value(&[0xF6])),
+        (2, Item::Value(&[0x01, 0x02])),
+    ];
+    let with = |item| [&wheels[..], &[item]].concat();
+    assert_eq!(
+        block("bodies"),
+        [
+            hex(&wheels),
+            hex(&with((5, Item::Call { id: 9, data: &[] }))),
+            hex(&with((6, Item::Ack(3)))),
+            "1e050200036162".to_owned() + "6309ff01",
+        ]
+    );
+}
+
 #[test]
 fn what_does_not_fit_the_model_is_said() {
     let parse = |direction, bytes: &[u8]| Items::parse(&FIGURE, direction, bytes).map(Iterator::count);

@@ -12,7 +12,7 @@ use crate::stops::{ARM, mute};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_hub_and_the_client_answer_by_the_cases() {
-    let lab = Lab::start().await;
+    let lab = Lab::start_with_several().await;
     let mut device = mute(&lab).await;
     let hub = format!("bin://{}", lab.broker.local_addr());
     let alice = Client::builder(hub.as_str()).user("alice").password("alice");

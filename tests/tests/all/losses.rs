@@ -30,6 +30,18 @@ impl Lab {
         Lab::start_with(|_| {}).await
     }
 
+    /// One whose arm is not alone in its channel.
+    pub(crate) async fn start_with_several() -> Lab {
+        Lab::start_with(|config| {
+            let arm = config
+                .contexts
+                .iter_mut()
+                .find(|spec| spec.path.as_deref() == Some("/robot/arm"));
+            arm.expect("the lab has an arm").devices = Some(from_value("several".into()).expect("a word"));
+        })
+        .await
+    }
+
     async fn start_with(change: impl FnOnce(&mut Config)) -> Lab {
         let broker = lab::start_with(change).await;
         let arm = log_in(&broker, "arm").await;

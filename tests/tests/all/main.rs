@@ -34,6 +34,7 @@ mod login;
 mod losses;
 mod mcp;
 mod objects;
+mod occupied;
 #[cfg(target_os = "linux")]
 mod oracle;
 mod order;

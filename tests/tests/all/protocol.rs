@@ -54,6 +54,36 @@ fn the_entities_are_exact() {
     assert_eq!(image.value().get("image"), Some(&Value::Binary("PNG".into())));
 }
 
+/// What a device answers to two commands.
+#[test]
+fn the_statuses_are_exact() {
+    let [block] = blocks("statuses")[..] else {
+        panic!("one block of statuses")
+    };
+    let lines: Vec<Parcel> = block
+        .lines()
+        .map(|line| read(Form::Json, format!("{line}\n").as_bytes()))
+        .collect();
+    let [command, statuses @ ..] = &lines[..] else {
+        panic!("a command")
+    };
+    assert!(command.is(Family::Message, "command"));
+    let read = |parcel: &Parcel| {
+        assert!(parcel.is(Family::Message, "status"));
+        let status: mom_arm::Status = mom_client::from_value(parcel.value()).expect("a status");
+        assert_eq!(status.id, parcel.reference);
+        status
+    };
+    let statuses: Vec<mom_arm::Status> = statuses.iter().map(read).collect();
+    assert_eq!(statuses.len(), 3);
+    let error = statuses[2].error.as_ref().expect("an error");
+    let word = |key: &str| error.get(key).cloned();
+    assert_eq!(
+        (word("name"), word("code")),
+        (Some("syntax".into()), Some(5001.into()))
+    );
+}
+
 #[test]
 fn the_lines_are_exact() {
     let [block] = blocks("json")[..] else {

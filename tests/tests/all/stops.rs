@@ -79,7 +79,7 @@ async fn every_device_says_that_it_stands_and_that_it_may_move() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn who_says_nothing_is_named() {
-    let lab = Lab::start().await;
+    let lab = Lab::start_with_several().await;
     let mut mute = mute(&lab).await;
     let output = mom(&lab, "alice", &["stop", ARM]).await;
     let expected = "/robot/arm: arm~2 said nothing within 3s; arm stands\n";
@@ -97,7 +97,7 @@ async fn who_says_nothing_is_named() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn what_obeys_and_does_not_stand_is_named() {
-    let lab = Lab::start().await;
+    let lab = Lab::start_with_several().await;
     let mut rolling = mute(&lab).await;
     let state = |more: Map| {
         let said = Map::new().with("stopped", true).with("reached", true);

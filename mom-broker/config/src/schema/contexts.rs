@@ -45,6 +45,7 @@ pub(super) fn context() -> Value {
             "minimum": 1000,
             "maximum": u32::MAX,
         },
+        "devices": words("Channels: how many devices may obey there; absent = one where a token guards it, else several.", &["one", "several"]),
         "keep": table("Channels: what late joiners get; absent = nothing.", &keep, &[]),
         "safe": table("Tokens: the message sent when ownership ends; absent = halt to every guarded channel.", &safe, &["channel", "name"]),
         "lease": millis("Tokens: how long ownership lasts without renewal, in ms; absent = as the manager says."),

@@ -56,6 +56,7 @@ pub(crate) fn lab(token: Map) -> Vec<Map> {
         key,
         context("/lab/arm", "channel")
             .with("guard", guard)
+            .with("devices", "several")
             .with("presence", "none"),
     ]
 }

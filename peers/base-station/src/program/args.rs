@@ -11,6 +11,7 @@ Examples:
   mom-base-station --fleet fleet.toml
   mom-base-station --fleet fleet.toml list
   mom-base-station --fleet fleet.toml send 1,3-5 leds 255
+  mom-base-station --fleet fleet.toml send 1 motor 100 100     # drives until Ctrl-C
   mom-base-station --fleet fleet.toml send 1 motor 50 -50 --repeat 500ms --times 10
   mom-base-station --fleet fleet.toml send 3 to 1000 500 via 200 300 --stay 20s
   mom-base-station --fleet fleet.toml --log today.jsonl run script.txt
@@ -72,9 +73,9 @@ pub(super) struct SendArgs {
     /// So many times in all; without it until Ctrl-C
     #[arg(long, value_name = "N", requires = "repeat", value_parser = clap::value_parser!(u64).range(1..))]
     pub(super) times: Option<u64>,
-    /// Stay so long afterwards before the robots are stopped
-    #[arg(long, value_name = "TIME", value_parser = time, default_value = "0ms")]
-    pub(super) stay: Duration,
+    /// Stay so long afterwards before the robots are stopped; without it, until Ctrl-C where a statement that is sent once has set one in motion
+    #[arg(long, value_name = "TIME", value_parser = time)]
+    pub(super) stay: Option<Duration>,
 }
 
 #[derive(Debug, clap::Args)]

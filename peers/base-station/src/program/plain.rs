@@ -284,13 +284,32 @@ pub(super) async fn send(
         } else {
             refused = once(station, script).await?;
         }
-        stay_and_tell(&mut station.subscribe(), &ToCome::default(), args.stay).await?;
+        let stay = args.stay.unwrap_or_else(|| match args.repeat {
+            Some(_) => Duration::ZERO,
+            None => drive_on(station),
+        });
+        stay_and_tell(&mut station.subscribe(), &ToCome::default(), stay).await?;
         all_sent(refused)
     };
     tokio::select! {
         () = interrupt.wait() => Ok(()),
         sent = sending => sent,
     }
+}
+
+/// For how long robots go on that a statement has set in motion: when they are where they are to be, only who looks on knows.
+fn drive_on(station: &Station) -> Duration {
+    let snapshots = station.snapshot();
+    let moving = snapshots.iter().filter(|snapshot| snapshot.in_motion);
+    let units: Vec<String> = moving.map(|snapshot| snapshot.robot.unit.to_string()).collect();
+    if units.is_empty() {
+        return Duration::ZERO;
+    }
+    warn(format!(
+        "unit {} drives until Ctrl-C; --stay 5s stops it after 5 s",
+        units.join(", ")
+    ));
+    Duration::MAX
 }
 
 /// Tells of all that happens for some time.
