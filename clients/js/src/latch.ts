@@ -120,10 +120,9 @@ export class Latch {
     return { turn: "stop", why };
   }
 
-  /** What it says of itself when it joins; before it has heard of any stop it says only that it is a device. */
-  word(): Value {
-    const stopped = this.#held?.held === "stopped";
-    return this.#number || stopped ? { stop: this.#number, stopped } : true;
+  /** What it says of itself when it joins. */
+  word(): { stop: number; stopped: boolean } {
+    return { stop: this.#number, stopped: this.#held?.held === "stopped" };
   }
 
   #stop({ stop = this.#number, sender, content }: MessageEvent): Turn {

@@ -21,6 +21,11 @@ export interface Proof {
 export interface ConnectOptions extends Proof {
   /** The user, with `password` or `key`. */
   user?: string;
+  /**
+   * Which installed program a device is: the same after each start, and no other's, 64 bytes at most. Where a channel has one device, a
+   * program that is started later takes the place of its own earlier start. Without it each client is another device.
+   */
+  installation?: string;
   /** The requested name at the hub instead of the user's. */
   nickname?: string;
   /** The hub for which the key may sign, by the name in the hub's configuration; otherwise it signs for any. */

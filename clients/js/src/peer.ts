@@ -5,6 +5,7 @@ import { type Connected, Connector } from "./connector.js";
 import { MomError, disconnected, dropped } from "./error.js";
 import { type Event, type Events, type MessageEvent, Subscribers, eventOf } from "./events.js";
 import { Guards, type Hold } from "./guards.js";
+import { installed } from "./installation.js";
 import { stopStateOf } from "./latch.js";
 import { Ledger } from "./ledger.js";
 import { type Link, type Welcome, check } from "./login.js";
@@ -57,8 +58,7 @@ export class Peer {
   #pinged = 0;
   /** When the hub was last told that this peer is there. */
   #spoke = 0;
-  /** How much was sent when the hub was asked what it has read. */
-  #asked = -1;
+  #asked = -1; // How much was sent when the hub was asked what it has read.
   #sentTo = new Map<number, string>();
   #graceOver: ReturnType<typeof setTimeout> | undefined;
   /** When the hub gives this peer up. */
@@ -72,6 +72,7 @@ export class Peer {
 
   constructor(address: string, readonly options: ConnectOptions) {
     check(options);
+    this.places.installation = installed(options.installation);
     this.subscribers = new Subscribers(options.eventBuffer ?? 4096, (event) => this.#isOver(event));
     this.connector = new Connector(address, options, () => ++this.#lastId);
     this.outbox.wrote = (entry) => this.link && this.ledger.wrote(entry);
@@ -513,7 +514,7 @@ export class Peer {
 
   async #join(place: Place): Promise<Fields> {
     const parcel: Parcel = { family: "context", name: "join", context: place.path };
-    if (place.terms) parcel.content = place.terms["device"] === true ? { ...place.terms, device: place.latch.word() } : place.terms;
+    if (place.terms) parcel.content = this.places.said(place.terms, place.latch);
     // From here on, since what comes right behind the answer is its first subscriber's.
     this.subscribers.keepEarly(place.path);
     const reply = fieldsOf((await this.request(parcel)).content);
@@ -589,8 +590,7 @@ export class Peer {
   /** Takes the answer to a login on a live connection. */
   renewed(welcome: Welcome): void {
     if (this.me && welcome.user !== this.me.user) {
-      // Another user is another peer, and nothing of the old one belongs to it.
-      // The hub has read what was said before this login.
+      // Another user is another peer, and nothing of the old one belongs to it: the hub has read what was said before this login.
       this.ledger = new Ledger();
       this.#lose(disconnected("logged in as another user"));
       this.places.removeWithin("/");

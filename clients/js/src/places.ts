@@ -1,4 +1,5 @@
 // The contexts that this peer wants to be in.
+import type { Installation } from "./installation.js";
 import { Latch } from "./latch.js";
 import { type Fields, type Value, fieldsOf, int, list, text } from "./value.js";
 import type { Delivery } from "./parcel.js";
@@ -48,6 +49,9 @@ export function wayTo(path: string): string[] {
 }
 
 export class Places {
+  /** Which device this is, where it is one. */
+  installation: Installation | undefined;
+
   readonly #all = new Map<string, Place>();
   /** What was heard of stops, also in channels that are gone: a hub that began anew without one knows no stop there. */
   readonly #latches: Record<string, Latch> = {};
@@ -85,6 +89,11 @@ export class Places {
   /** The channels that a token guards. */
   guardedBy(token: string): Place[] {
     return this.all().filter((place) => place.guard?.token === token);
+  }
+
+  /** What is said when a context is joined on these terms. */
+  said(terms: Fields, latch: Latch): Fields {
+    return terms["device"] === true ? { ...terms, device: { ...latch.word(), ...this.installation } } : terms;
   }
 
   /** The token that guards messages of this name there; to stop and to free a device needs none. */

@@ -123,7 +123,11 @@ test("a device halts at a loss, moves when it has heard how it stands, and says 
   hub.cut();
   await eventually(() => hub.heard.filter(({ name, context }) => name === "join" && context === "/robot/arm").length === 2);
   const joins = hub.heard.filter(({ name, context }) => name === "join" && context === "/robot/arm");
-  assert.deepEqual(joins.map(({ content }) => content.device), [true, { stop: 8, stopped: true }]);
+  const words = joins.map(({ content }) => content.device);
+  assert.deepEqual(words.map(({ stop, stopped }) => ({ stop, stopped })), [{ stop: 0, stopped: false }, { stop: 8, stopped: true }]);
+  // It is the same installation, started when it was.
+  assert.ok(words[0].installation);
+  for (const key of ["installation", "begun"]) assert.deepEqual(words[1][key], words[0][key]);
   await eventually(() => said("state").at(-1).content.stop === 8 && arm.mayMove()?.held === "stopped");
 });
 

@@ -182,5 +182,8 @@ test("a device says what it has heard of stops when its channel is back", async 
   await until(events, ({ type }) => type === "deleted");
   await alice.channel("/robot/arm", { device: true });
   const joins = hub.heard.filter(({ name, context }) => name === "join" && context === "/robot/arm");
-  assert.deepEqual(joins.at(-1).content.device, { stop: 7, stopped: true });
+  const { installation, begun, ...word } = joins.at(-1).content.device;
+  assert.deepEqual(word, { stop: 7, stopped: true });
+  assert.equal(installation.length, 16);
+  assert.ok(begun, "when it was started");
 });

@@ -47,7 +47,7 @@ def test_there_are_cases() -> None:
 def test_a_latch_says_who_stopped_the_device_and_why() -> None:
     latch = mom.Latch()
     assert latch.may_move() == mom.Held("unknown", "the hub has not said yet whether it is stopped")
-    assert latch.word() is True
+    assert latch.word() == {"stop": 0, "stopped": False}
     assert latch.observe(said("stop", "smoke", stop=3)) == mom.Reaction("stop", "stopped by bob: smoke")
     assert latch.may_move() == mom.Held("stopped", "stopped by bob: smoke")
     # The hub says it for another peer.
@@ -74,7 +74,7 @@ def test_the_stop_of_the_hub_after_a_loss_is_its_word_how_the_device_stands() ->
 def test_a_stop_of_its_own_is_not_yet_one_of_the_hub() -> None:
     latch = mom.Latch()
     assert latch.stop_itself("bumper") == mom.Reaction("stop", "bumper")
-    assert latch.is_own and latch.is_stopped and latch.word() is True
+    assert latch.is_own and latch.is_stopped and latch.word() == {"stop": 0, "stopped": False}
     latch.stop_itself("another")
     assert latch.may_move() == mom.Held("own", "stopped by itself: bumper")
     latch.observe(said("stop", stop=1))

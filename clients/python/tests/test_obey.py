@@ -134,7 +134,10 @@ async def test_a_device_says_what_it_has_heard_of_stops_when_its_channel_is_back
     await robot.until(lambda: ARM not in robot.client._core.places)
     await robot.client.obey(ARM, Recorder())
     joins = [parcel.content for parcel in robot.hub.heard if parcel.is_("context", "join") and parcel.context == ARM]
-    assert joins[-1]["device"] == {"stop": 7, "stopped": True}
+    first, last = joins[0]["device"], joins[-1]["device"]
+    assert (last["stop"], last["stopped"]) == (7, True)
+    # It is the same installation, started when it was.
+    assert last["installation"] and [last[key] for key in ("installation", "begun")] == [first[key] for key in ("installation", "begun")]
 
 
 async def test_a_device_learns_from_a_halt_which_token_guards_it_from_now_on(robot: Robot) -> None:
@@ -219,7 +222,8 @@ async def test_it_says_what_it_knew_when_it_joins_again(robot: Robot) -> None:
         return [parcel.content for parcel in robot.hub.heard if parcel.name == "join" and parcel.context == ARM]
 
     await robot.until(lambda: len(joins()) == 2)
-    assert [content["device"] for content in joins()] == [True, {"stop": 8, "stopped": True}]
+    words = [(content["device"]["stop"], content["device"]["stopped"]) for content in joins()]
+    assert words == [(0, False), (8, True)]
     # With the answer it knows how it stands, and says so.
     await robot.until(lambda: robot.hub.heard[-1].name == "state")
     held = robot.arm.may_move()
@@ -231,7 +235,8 @@ async def test_it_says_what_it_knew_when_it_joins_again(robot: Robot) -> None:
     for number, word in ((3, {"stop": 8, "stopped": False}), (4, {"stop": 11, "stopped": True})):
         robot.hub.cut()
         await robot.until(lambda: len(joins()) == number)
-        assert joins()[-1]["device"] == word
+        said = joins()[-1]["device"]
+        assert {key: said[key] for key in word} == word
         await robot.until(lambda: robot.arm.is_stopped)
 
 

@@ -67,6 +67,7 @@ def connect(
     certificate: bool = False,
     guest: bool = False,
     nickname: Optional[str] = None,
+    installation: Optional[str] = None,
     hub_name: Optional[str] = None,
     trust: Trust = None,
     link: bool = True,
@@ -86,6 +87,9 @@ def connect(
     - `user` with `password`, `key` or `certificate`, or `token`, or `guest`: who this is, and its proof. Passwords and tokens
       are sent over TLS or to loopback only. A `token` (JWT) may be a function or a coroutine function that gives one, which is
       asked at each login: what it raises at first is raised here, too; later the attempt has failed, and is made again.
+    - `installation`: which installed program a device is: the same after each start, and no other's, 64 bytes at most. Where a
+      channel has one device, a program that is started later takes the place of its own earlier start; without it each client is
+      another device.
     - `nickname`: the requested name at the hub; `hub_name`: the only hub for which the key signs.
     - `trust`: which hub is the right one over TLS (`mom.Trust`).
     - `link`, `grace`: whether a lost connection is resumed, and for how many seconds the hub is to wait for that; without
@@ -106,7 +110,7 @@ def connect(
     # Who does not come back leaves at once.
     options = Options(Address.parse(address), trust, link and reconnect is not None, grace, heartbeat, connect_timeout, reconnect)
     return Connect(
-        lambda: Core(wall_clock, event_buffer, request_timeout), credentials, options, [on_state] if on_state else []
+        lambda: Core(wall_clock, event_buffer, request_timeout, installation), credentials, options, [on_state] if on_state else []
     )
 
 

@@ -31,6 +31,7 @@ from .parcel import Parcel
 from .states import LinkState
 from .stops import StopState
 from .subscriptions import Subscribers
+from .values import now
 
 _REMEMBERED = 1024
 """The sent messages whose channels are known when a refusal comes."""
@@ -63,8 +64,12 @@ class _Pending:
 class Core:
     """The state of a client."""
 
-    def __init__(self, wall: Callable[[], datetime], event_buffer: int, request_timeout: float) -> None:
+    def __init__(
+        self, wall: Callable[[], datetime], event_buffer: int, request_timeout: float, installation: Optional[str] = None
+    ) -> None:
         self.clock = HubClock(wall)
+        self._installation = {"installation": installation or secrets.token_hex(8), "begun": now()}
+        """Which device this is, where it is one."""
         self.wall = wall
         self.request_timeout = request_timeout
         self.subscribers = Subscribers(event_buffer, self._is_over)
@@ -325,7 +330,7 @@ class Core:
     def _begin_join(self, place: Place, terms: Optional[Dict[str, Any]]) -> asyncio.Future[Parcel]:
         place.joining = asyncio.get_running_loop().create_future()
         self.subscribers.keep_early(place.path)
-        said = {**terms, "device": place.latch.word()} if terms and terms.get("device") else terms
+        said = {**terms, "device": {**place.latch.word(), **self._installation}} if terms and terms.get("device") else terms
         parcel = Parcel("context", "join", place.path, said, has_content=terms is not None)
         return self.begin(parcel, lambda reply: self._take_join(place, terms, reply.map()))
 

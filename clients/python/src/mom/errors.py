@@ -7,6 +7,7 @@ from typing import Any, Dict, List, Mapping, Optional
 CODES: Dict[str, int] = {
     "try-later": 100, "held": 101, "timed-out": 102, "full": 103, "declined": 104, "withdrawn": 105,
     "over-quota": 106, "storage-failed": 107, "over-memory": 108,
+    "occupied": 109,
     "denied": 200, "bad-login": 201, "not-logged-in": 202, "not-member": 203, "not-owner": 204,
     "older-fence": 205, "bad-fence": 206, "expired": 207, "stale-state": 208, "not-resumed": 209, "unknown-path": 210,
     "unknown-peer": 211, "unknown-verb": 212, "unknown-manager": 213, "exists": 214, "wrong-kind": 215,

@@ -98,10 +98,9 @@ class Latch:
         self._known = False
         return Reaction("halt")
 
-    def word(self) -> Any:
-        """What it says of itself when it joins; before it has heard of any stop only that it is a device."""
-        stopped = self._held is not None and self._held.word == "stopped"
-        return {"stop": self._number, "stopped": stopped} if self._number or stopped else True
+    def word(self) -> Dict[str, Any]:
+        """What it says of itself when it joins."""
+        return {"stop": self._number, "stopped": self._held is not None and self._held.word == "stopped"}
 
     def _stop(self, event: Message) -> Reaction:
         content: Dict[str, Any] = event.parcel.map()
