@@ -106,7 +106,8 @@ impl LinkWriter {
     }
 
     fn take(&mut self) -> Written {
-        let allowance = self.flow.allowance(&self.writer);
+        let mut allowance = self.flow.allowance(&self.writer);
+        allowance.bytes = allowance.bytes.min(self.shared.room_to_keep());
         let wall = self.shared.clock.wall();
         let now = wall.and_then(|wall| u64::try_from(wall.micros()).ok());
         let mut state = self.shared.lock();

@@ -21,7 +21,7 @@ use crate::{ClientError, Event, LinkState};
 const TELL_PARCELS: u64 = 256;
 const TELL_BYTES: u64 = 64 * 1024;
 
-/// The most bytes that are kept for the hub to read.
+/// Where so many bytes are kept that the hub has not read, no more are sent: the hub keeps no more of a lost peer either.
 const KEPT: usize = 4 * 1024 * 1024;
 
 /// What the hub gave at login, for coming back.
@@ -141,9 +141,19 @@ impl Counted {
 impl Shared {
     /// Counts from here on, if the hub has given a link; else not any more.
     pub(crate) fn begin_link(&self, state: &mut State, secret: Option<LinkSecret>) {
-        *self.ledger.lock() = secret.is_some().then(|| Box::new(Ledger::new(KEPT)));
+        *self.ledger.lock() = secret.is_some().then(|| Box::new(Ledger::new(usize::MAX)));
         self.counts.store(secret.is_some(), Ordering::Relaxed);
         state.counted = secret.map(|secret| Box::new(Counted::new(secret)));
+    }
+
+    /// How many bytes may be sent before the hub has to say that it has read some: what is sent is kept until then, all of it, or a lost
+    /// connection could not be resumed. A parcel that is larger goes where nothing else is kept.
+    pub(crate) fn room_to_keep(&self) -> usize {
+        if !self.counts.load(Ordering::Relaxed) {
+            return usize::MAX;
+        }
+        let kept = self.ledger.lock().as_ref().map_or(0, |ledger| ledger.bytes());
+        KEPT.saturating_sub(kept)
     }
 
     /// Counts a parcel of the hub that was read, and tells the hub if it is time; so many bytes have come.

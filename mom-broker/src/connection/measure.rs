@@ -6,12 +6,15 @@ use mom_system::Clock;
 /// Exchanges right after the first answer, one after the other; from then on one each heartbeat.
 const QUICK: usize = 4;
 
+/// µs after which no answer to a ping is waited for any more.
+const LONGEST: i64 = 30_000_000;
+
 /// The pings to one peer.
 #[derive(Debug, Default)]
 pub(crate) struct Pings {
     next: u64,
-    /// When the last one was sent, if it is not answered.
-    asked: Option<Time>,
+    /// The one whose answer is waited for, and when it was sent.
+    asked: Option<(u64, Time)>,
     /// The peer answers with its stamps, so that asking is worth it.
     stamps: bool,
 }
@@ -23,11 +26,18 @@ pub(crate) struct Measure {
 }
 
 impl Pings {
-    /// The next ping, sent now. An answer to the one before is of no use any more.
+    /// The next ping, sent now. As long as one is not answered, those after it are signs of life and nothing else: where the way there and back
+    /// takes longer than the time between two, the answer to the newest would never come in time.
     pub(crate) fn next(&mut self, clock: &Clock) -> Parcel {
         let (id, sent) = (self.next, clock.wall());
         self.next += 1;
-        self.asked = Some(sent);
+        let waits = |(_, before): (u64, Time)| sent.micros() - before.micros();
+        if self
+            .asked
+            .is_none_or(|asked| !(0..LONGEST).contains(&waits(asked)))
+        {
+            self.asked = Some((id, sent));
+        }
         let content = Map::new().with("sent", sent);
         Parcel::new(Family::Time, "ping")
             .context(Path::root())
@@ -41,8 +51,8 @@ impl Pings {
     }
 
     fn answered(&mut self, pong: &Parcel) -> Option<Time> {
-        let last = self.next.checked_sub(1)?;
-        self.asked.take_if(|_| pong.reference == Some(last))
+        let answered = self.asked.take_if(|(id, _)| pong.reference == Some(*id));
+        answered.map(|(_, sent)| sent)
     }
 }
 
@@ -91,5 +101,28 @@ impl Measure {
     /// The peer's clock minus the hub's; none if it is not known.
     pub(crate) fn offset(&self, now: Micros) -> Option<ClockOffset> {
         self.estimator.at(now)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Where pings go out more often than answers come back, each measures by the oldest of them.
+    #[test]
+    fn an_answer_that_comes_after_the_next_ping_is_of_use() {
+        let (clock, mut pings) = (Clock::system(), Pings::default());
+        let first = pings.next(&clock);
+        let later: Vec<Parcel> = (0..5).map(|_| pings.next(&clock)).collect();
+        let pong = |ping: &Parcel| {
+            let mut pong = Parcel::new(Family::Time, "pong");
+            pong.reference = ping.id;
+            pong
+        };
+        assert_eq!(pings.answered(&pong(&later[2])), None, "it is a sign of life");
+        assert!(pings.answered(&pong(&first)).is_some());
+        assert_eq!(pings.answered(&pong(&first)), None, "it was answered");
+        let next = pings.next(&clock);
+        assert!(pings.answered(&pong(&next)).is_some());
     }
 }

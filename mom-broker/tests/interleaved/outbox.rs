@@ -62,6 +62,21 @@ fn end(outbox: Arc<Outbox>, writer: shuttle::future::JoinHandle<()>, reader: &mu
     assert!(hear(reader).is_none(), "something came twice");
 }
 
+/// Whoever looks at the link keeps nobody's parcel.
+#[test]
+fn what_is_put_in_while_somebody_looks_at_the_link_leaves() {
+    explore(|| {
+        let (outbox, mut reader) = link(READER, 0);
+        let writer = write(&outbox);
+        let looking = Arc::clone(&outbox);
+        let looks = thread::spawn(move || assert!(!looking.is_linked()));
+        put(&outbox, packet(1, "say", 1));
+        assert_eq!(hear(&mut reader).map(|parcel| parcel.id), Some(Some(1)));
+        looks.join().expect("no panic");
+        end(outbox, writer, &mut reader);
+    });
+}
+
 #[test]
 fn every_parcel_leaves_once_and_each_sender_keeps_its_order() {
     explore(|| {

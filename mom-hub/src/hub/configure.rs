@@ -289,6 +289,22 @@ fn review(world: &mut World, questions: &mut Questions, out: &mut Vec<Effect>) {
             }
         }
     }
+    thin_devices(world, questions, out);
+}
+
+/// Leaves one device in each channel that has one at most by now: whoever was there first of those whose links live.
+fn thin_devices(world: &mut World, questions: &mut Questions, out: &mut Vec<Effect>) {
+    let mut surplus = Vec::new();
+    for context in world.tree.iter().filter(|context| context.has_one_device()) {
+        let devices = context.members.values().filter(|member| member.device);
+        let mut devices: Vec<PeerId> = devices.map(|member| member.peer).collect();
+        devices.sort_by_key(|peer| world.peers.get(*peer).is_none_or(|known| known.lost.is_some()));
+        surplus.extend(devices.into_iter().skip(1).map(|peer| (context.number, peer)));
+    }
+    for (place, peer) in surplus {
+        let text = "the configuration has changed: one device may be here, and another one was here before";
+        put_out(world, questions, (place, peer, None), Some(text), out);
+    }
 }
 
 /// Takes a member that may not be a device any more for an ordinary one.

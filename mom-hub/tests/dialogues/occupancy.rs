@@ -130,6 +130,35 @@ fn a_channel_says_how_many_devices_it_has() {
     }
 }
 
+/// A configuration that lets one device be there, or guards the channel, leaves the one that was there first.
+#[test]
+fn a_new_configuration_leaves_one_device() {
+    let several = |contexts: &mut Vec<Map>| contexts[2].set("devices", "several");
+    let unguarded = |contexts: &mut Vec<Map>| drop(contexts[2].remove("guard"));
+    for before in [several as fn(&mut Vec<Map>), unguarded as fn(&mut Vec<Map>)] {
+        let mut contexts = lab(Map::new());
+        contexts[2].remove("devices");
+        let after = contexts.clone();
+        before(&mut contexts);
+        let mut stage = Stage::new(contexts);
+        for name in ["lost", "arm", "other"] {
+            stage.enter(name, 1);
+            stage.say_with(name, JOIN, "device", true.into());
+        }
+        stage.lost("lost", 60_000);
+        let heard = stage.configure(after, Vec::new());
+        let put_out = |name: &str| {
+            let line = format!("{name}< expelled peer={name}");
+            heard.contains(&line)
+        };
+        assert_eq!(
+            [put_out("lost"), put_out("arm"), put_out("other")],
+            [true, false, true],
+            "{heard:?}"
+        );
+    }
+}
+
 #[test]
 fn what_a_device_says_of_itself_is_checked() {
     let mut stage = stage(None);

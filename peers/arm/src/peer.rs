@@ -119,13 +119,13 @@ pub async fn run_arm(
         tokio::select! {
             () = &mut shutdown => break Ok(()),
             event = zone_event(&mut zones) => {
-                let Some(event) = event else { break Err(ended(&client)) };
+                let Some(event) = event else { break Err(ended(&client, peer.put_out())) };
                 hear_zone(&mut peer, keeper.as_mut(), &event);
             }
             happening = peer.wait() => {
-                let Some(happening) = happening else { break Err(ended(&client)) };
+                let Some(happening) = happening else { break Err(ended(&client, peer.put_out())) };
                 if matches!(happening, Happening::Event(_)) && !hear_zones(&mut peer, keeper.as_mut(), &mut zones).await {
-                    break Err(ended(&client));
+                    break Err(ended(&client, peer.put_out()));
                 }
                 hear(&mut peer, keeper.as_mut(), &happening);
             },
@@ -237,12 +237,15 @@ fn log(event: &Event) {
 }
 
 /// Why there are no more events.
-fn ended(client: &Client) -> ClientError {
+fn ended(client: &Client, put_out: Option<&str>) -> ClientError {
     match &*client.state().borrow() {
         LinkState::Closed(error) => ClientError::Closed(error.clone()),
         _ => WireError::new(
             Code::UNKNOWN_PATH,
-            "the hub deleted the arm's channel, or its zones, or put the arm out of there",
+            match put_out {
+                Some(why) => format!("the arm was put out of its channel: {why}"),
+                None => "the hub deleted the arm's channel, or its zones".to_owned(),
+            },
         )
         .into(),
     }

@@ -26,6 +26,7 @@ pub struct DevicePeer<M: Machine> {
     out: Vec<Parcel>,
     begin: Instant,
     pace: u32,
+    put_out: Option<String>,
 }
 
 /// What a device has waited for, to be taken in by [`DevicePeer::take`].
@@ -59,6 +60,7 @@ impl<M: Machine> DevicePeer<M> {
             out,
             begin,
             pace: 1,
+            put_out: None,
             client: client.clone(),
         }
     }
@@ -106,6 +108,11 @@ impl<M: Machine> DevicePeer<M> {
     /// The gate of its channel, which knows who owns its token.
     pub fn gate(&self) -> &FenceGate {
         &self.gate
+    }
+
+    /// Why it was put out of its channel, if it was: it hears nothing more there.
+    pub fn put_out(&self) -> Option<&str> {
+        self.put_out.as_deref()
     }
 
     /// Whether its link to the hub is down, so that nothing can be said.
@@ -212,6 +219,7 @@ impl<M: Machine> DevicePeer<M> {
             Event::Expelled { peer, text, path, .. } if *peer == self.client.name() => {
                 let why = text.as_deref().unwrap_or("nobody says why");
                 tracing::warn!(channel = %path, why, "this device was put out of its channel, and stands");
+                self.put_out = Some(why.to_owned());
             }
             Event::LinkDown => self.outlet.set_down(true),
             Event::Rejoined | Event::Resumed => self.outlet.set_down(false),

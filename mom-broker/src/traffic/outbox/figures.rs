@@ -139,7 +139,7 @@ impl Outbox {
             round_trip: (round_trip > 0).then_some(round_trip),
             queued,
             // Whoever writes never waits for the link.
-            sent: self.way.lock().flow.written(),
+            sent: self.way().flow.written(),
             received: self.heard.bytes.load(Ordering::Relaxed),
             dropped,
         })

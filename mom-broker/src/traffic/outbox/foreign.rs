@@ -13,7 +13,7 @@ impl Outbox {
     /// Encodes a packet that goes next in the form that the receiver speaks now.
     pub(super) fn translate(&self, packet: &Arc<Packet>) {
         let paths = {
-            let way = self.way.lock();
+            let way = self.way();
             let link = way.link.as_ref();
             link.and_then(|link| link.paths.as_ref()?.upgrade())
         };

@@ -28,19 +28,19 @@ pub(crate) trait Paths: std::fmt::Debug + Send + Sync {
 impl Outbox {
     /// The connection; none while it is lost.
     pub(crate) fn writer(&self) -> Option<Arc<Writer>> {
-        self.way.lock().writer.clone()
+        self.way().writer.clone()
     }
 
     /// Whether its connection can be resumed.
     pub(crate) fn is_linked(&self) -> bool {
-        self.way.lock().link.is_some()
+        self.way().link.is_some()
     }
 
     /// Counts what leaves from here on, but for the next parcel, and keeps so many bytes; false if something waits, of
     /// which nobody could say on which side of the beginning it is.
     pub(crate) fn begin_link(&self, limit: usize) -> bool {
         self.flush();
-        let mut way = self.way.lock();
+        let mut way = self.way();
         if !self.queue.lock().is_empty() {
             return false;
         }
@@ -55,7 +55,7 @@ impl Outbox {
     /// From now on, gives the peer compressed content where that pays. Before its first login is answered: what is for it was
     /// encoded in one form only.
     pub(crate) fn begin_packing(&self) {
-        let mut way = self.way.lock();
+        let mut way = self.way();
         if let Some(link) = &mut way.link {
             link.packs = true;
         }
@@ -70,14 +70,14 @@ impl Outbox {
 
     /// Ends the link: the next end of the connection is the end of the peer.
     pub(crate) fn end_link(&self) {
-        let link = self.way.lock().link.take();
+        let link = self.way().link.take();
         // What it kept is freed where nobody waits.
         drop(link);
     }
 
     /// How many parcels the peer is known to have read.
     pub(crate) fn acknowledged_count(&self) -> u64 {
-        let way = self.way.lock();
+        let way = self.way();
         way.link.as_ref().map_or(0, |link| link.ledger.acknowledged())
     }
 
@@ -86,7 +86,7 @@ impl Outbox {
     /// # Errors
     /// A count that cannot be.
     pub(crate) fn acknowledge(&self, read: u64) -> Result<(), BadCount> {
-        let mut way = self.way.lock();
+        let mut way = self.way();
         match &mut way.link {
             Some(link) => self.queue.lock().acknowledge(&mut link.ledger, read),
             None => Ok(()),
@@ -95,7 +95,7 @@ impl Outbox {
 
     /// The connection is lost. Gives what has written to it, if what it was given last ends with a whole parcel.
     pub(crate) fn detach(&self) -> Option<Arc<Writer>> {
-        let mut way = self.way.lock();
+        let mut way = self.way();
         let writer = way.writer.take();
         way.flow = Flow::default();
         let link = way.link.as_mut()?;
@@ -117,7 +117,7 @@ impl Outbox {
         writer: &Writer,
         paths: Weak<dyn Paths>,
     ) -> Result<Rewound, BadCount> {
-        let mut way = self.way.lock();
+        let mut way = self.way();
         let Some(link) = &mut way.link else {
             return Ok(Rewound::Lost(0));
         };
@@ -138,7 +138,7 @@ impl Outbox {
 
     /// Goes on with this connection.
     pub(crate) fn attach(&self, writer: Arc<Writer>) {
-        self.way.lock().writer = Some(writer);
+        self.way().writer = Some(writer);
         self.queue.lock().find();
         self.touched.store(true, Ordering::Release);
         self.wake.notify_one();
@@ -156,11 +156,65 @@ impl Outbox {
 
     /// Whether its connection has failed, and nobody has noted so yet.
     pub(crate) fn is_broken(&self) -> bool {
-        self.way.lock().writer.is_none()
+        self.way().writer.is_none()
     }
 
     /// Gives up its connection, for another outbox to go on with.
     pub(crate) fn take_writer(&self) -> Option<Arc<Writer>> {
-        self.way.lock().writer.take()
+        self.way().writer.take()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use mom_hub::PeerId;
+    use mom_net::Lane;
+    use mom_proto::codec::Frame;
+    use mom_proto::{Delivery, Family, Parcel};
+    use mom_system::Clock;
+
+    use super::*;
+    use crate::traffic::encodings::Encodings;
+    use crate::traffic::outbox::{Charged, Origin};
+
+    fn packet() -> Packet {
+        let parcel = Parcel::new(Family::Message, "say").id(1);
+        Packet {
+            charged: Charged::Nowhere,
+            encodings: Encodings::new(parcel, std::iter::once(None)).expect("no form needed"),
+            lane: Lane::Data(0),
+            delivery: Delivery::Reliable,
+            origin: Origin {
+                context: ContextNumber(1),
+                sender: PeerId(2),
+                name: "say".into(),
+            },
+            expires_at: None,
+            gate: None,
+            count: 1,
+            counts: true,
+            outlives_loss: true,
+        }
+    }
+
+    /// Who comes to write meanwhile leaves it to who has the way, and nobody comes again.
+    #[tokio::test]
+    async fn what_comes_while_an_acknowledgement_is_taken_in_leaves_at_once() {
+        let (here, mut there) = mom_net::pair();
+        let outbox = Arc::new(Outbox::new(PeerId(1), Clock::system(), here.writer, 1 << 20));
+        let writing = Arc::clone(&outbox);
+        tokio::spawn(async move { writing.run().await });
+        // Its writer waits for somebody to wake it.
+        tokio::task::yield_now().await;
+        let way = outbox.way();
+        let (_, first) = outbox.push(Arc::new(packet()));
+        assert!(first);
+        outbox.flush();
+        drop(way);
+        let came = tokio::time::timeout(Duration::from_secs(20), there.reader.next()).await;
+        let came = came.expect("it leaves").expect("a link");
+        assert!(matches!(came, Some(Frame::Parcel(parcel)) if parcel.name() == "say"));
     }
 }

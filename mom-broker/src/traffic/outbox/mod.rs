@@ -12,6 +12,7 @@ mod waiter;
 
 use std::cell::Cell;
 use std::collections::VecDeque;
+use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 
 use mom_hub::PeerId;
@@ -131,6 +132,40 @@ enum Flushed {
 #[derive(Clone, Debug)]
 pub(crate) struct Closing {
     pub(crate) error: Option<WireError>,
+}
+
+/// The way to the link while somebody has it who does not write. Others that come to write meanwhile leave it to whoever has it: what they would
+/// have written is seen to when it is let go.
+struct HeldWay<'a> {
+    // Let go before the other is dropped.
+    way: MutexGuard<'a, Way>,
+    _after: AfterWay<'a>,
+}
+
+/// Looks whether somebody has left something to write, when it is dropped.
+struct AfterWay<'a>(&'a Outbox);
+
+impl Deref for HeldWay<'_> {
+    type Target = Way;
+
+    fn deref(&self) -> &Way {
+        &self.way
+    }
+}
+
+impl DerefMut for HeldWay<'_> {
+    fn deref_mut(&mut self) -> &mut Way {
+        &mut self.way
+    }
+}
+
+impl Drop for AfterWay<'_> {
+    fn drop(&mut self) {
+        fence(Ordering::SeqCst);
+        if self.0.touched.load(Ordering::Acquire) {
+            self.0.wake.notify_one();
+        }
+    }
 }
 
 impl Outbox {
@@ -373,7 +408,7 @@ impl Outbox {
                 },
                 Flushed::Paced => {
                     tokio::time::sleep(pause.time()).await;
-                    pause.look(&self.way.lock().flow);
+                    pause.look(&self.way().flow);
                 }
                 Flushed::Unready(packet) => self.make_ready(&packet).await,
             }
@@ -421,9 +456,17 @@ impl Outbox {
         Box::pin(woken).await;
     }
 
+    /// The way to the link, for who writes nothing.
+    fn way(&self) -> HeldWay<'_> {
+        HeldWay {
+            way: self.way.lock(),
+            _after: AfterWay(self),
+        }
+    }
+
     fn try_flush(&self) -> Result<Flushed, NetError> {
         loop {
-            // Whoever is writing looks at `touched` again after letting go, so nothing is forgotten.
+            // Whoever has it looks at `touched` again after letting go, so nothing is forgotten.
             let Some(way) = self.way.try_lock() else {
                 return Ok(Flushed::Done);
             };

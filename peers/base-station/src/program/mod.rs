@@ -113,10 +113,12 @@ async fn finish(station: &Station) -> Result<()> {
     Ok(())
 }
 
-/// Ctrl-C and SIGTERM.
+/// Ctrl-C, SIGTERM, and what a terminal says that is closed or left by Ctrl-\.
 pub(crate) struct Interrupt {
     interrupt: Signal,
     terminate: Signal,
+    hangup: Signal,
+    quit: Signal,
 }
 
 impl Interrupt {
@@ -124,6 +126,8 @@ impl Interrupt {
         Ok(Interrupt {
             interrupt: signal(SignalKind::interrupt()).context("cannot listen for Ctrl-C")?,
             terminate: signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?,
+            hangup: signal(SignalKind::hangup()).context("cannot listen for SIGHUP")?,
+            quit: signal(SignalKind::quit()).context("cannot listen for SIGQUIT")?,
         })
     }
 
@@ -132,6 +136,8 @@ impl Interrupt {
         tokio::select! {
             _ = self.interrupt.recv() => {}
             _ = self.terminate.recv() => {}
+            _ = self.hangup.recv() => {}
+            _ = self.quit.recv() => {}
         }
     }
 }

@@ -23,6 +23,8 @@ use tokio::time::{Instant, MissedTickBehavior, interval, timeout, timeout_at};
 use super::Interrupt;
 use super::args::SendArgs;
 
+/// Between two frames for the watchdogs of robots that drive: the usual one is 0.5 s.
+const FEEDS: Duration = Duration::from_millis(150);
 /// How long replies are waited for at the end.
 const REPLIES_WITHIN: Duration = Duration::from_secs(3);
 
@@ -288,7 +290,11 @@ pub(super) async fn send(
             Some(_) => Duration::ZERO,
             None => drive_on(station),
         });
-        stay_and_tell(&mut station.subscribe(), &ToCome::default(), stay).await?;
+        let (mut changes, nothing) = (station.subscribe(), ToCome::default());
+        tokio::select! {
+            told = stay_and_tell(&mut changes, &nothing, stay) => told?,
+            () = keep_driving(station) => {}
+        }
         all_sent(refused)
     };
     tokio::select! {
@@ -310,6 +316,22 @@ fn drive_on(station: &Station) -> Duration {
         units.join(", ")
     ));
     Duration::MAX
+}
+
+/// Has robots with a watchdog drive on: any frame feeds it.
+async fn keep_driving(station: &Station) {
+    let mut ticks = interval(FEEDS);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        ticks.tick().await;
+        let Ok(null) = Frame::new(&Command::NULL, &[]) else {
+            return;
+        };
+        for snapshot in station.snapshot().iter().filter(|snapshot| snapshot.in_motion) {
+            // One that takes nothing now is lost, which is told.
+            let _ = station.send(snapshot.robot.unit, null);
+        }
+    }
 }
 
 /// Tells of all that happens for some time.

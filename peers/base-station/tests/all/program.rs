@@ -68,35 +68,41 @@ async fn send_tells_what_it_sent_and_stops_the_robot_at_the_end() {
     );
 }
 
+/// Whatever ends the program, its terminal too, stops the robot.
 #[tokio::test]
 async fn a_robot_that_send_has_set_in_motion_drives_until_ctrl_c() {
-    let mut robot = Robot::start().await;
-    let (mut command, _folder) = program(&[robot.port]);
-    command.args(["send", "1", "motor", "100", "100"]);
-    let mut child = command
-        .stderr(Stdio::piped())
-        .stdout(Stdio::null())
-        .spawn()
-        .expect("it starts");
-    assert_eq!(robot.command().await, "06 00100 00100");
-    // It says so, and what it says is the last before it is interrupted.
-    let stderr = child.stderr.take().expect("it is piped");
-    let mut lines = BufReader::new(stderr).lines();
-    let said = tokio::task::spawn_blocking(move || {
-        lines.find_map(|line| line.ok().filter(|line| line.contains("Ctrl-C")))
-    });
-    let said = said.await.expect("no panic").expect("a line");
-    assert!(said.contains("unit 1 drives until Ctrl-C; --stay 5s"), "{said}");
-    assert!(child.try_wait().expect("it can be asked").is_none(), "it stays");
-    let kill = Command::new("kill")
-        .args(["-INT", &child.id().to_string()])
-        .status();
-    assert!(kill.expect("kill is there").success());
-    assert_eq!(robot.command().await, "06 00000 00000");
-    let ended = tokio::task::spawn_blocking(move || child.wait())
-        .await
-        .expect("no panic");
-    assert!(ended.expect("it ends").success());
+    for signal in ["-INT", "-HUP", "-QUIT"] {
+        let mut robot = Robot::start().await;
+        let (mut command, _folder) = program(&[robot.port]);
+        command.args(["send", "1", "motor", "100", "100"]);
+        let mut child = command
+            .stderr(Stdio::piped())
+            .stdout(Stdio::null())
+            .spawn()
+            .expect("it starts");
+        assert_eq!(robot.command().await, "06 00100 00100");
+        // It says so, and what it says is the last before it is interrupted.
+        let stderr = child.stderr.take().expect("it is piped");
+        let mut lines = BufReader::new(stderr).lines();
+        let said = tokio::task::spawn_blocking(move || {
+            lines.find_map(|line| line.ok().filter(|line| line.contains("Ctrl-C")))
+        });
+        let said = said.await.expect("no panic").expect("a line");
+        assert!(said.contains("unit 1 drives until Ctrl-C; --stay 5s"), "{said}");
+        // A robot with a watchdog needs more than one frame.
+        for _ in 0..3 {
+            robot.until("got 00").await;
+        }
+        let kill = Command::new("kill")
+            .args([signal, &child.id().to_string()])
+            .status();
+        assert!(kill.expect("kill is there").success());
+        assert_eq!(robot.command().await, "06 00000 00000", "{signal}");
+        let ended = tokio::task::spawn_blocking(move || child.wait())
+            .await
+            .expect("no panic");
+        assert!(ended.expect("it ends").success());
+    }
 }
 
 /// The frames of one direction in a log.

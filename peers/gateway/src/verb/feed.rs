@@ -146,6 +146,8 @@ impl Feeding<'_> {
         match channel.send(command, &format!("send {statement:?}")).await {
             Ok(id) => Ok(Some(id)),
             Err(VerbFailure::Hub { error, .. }) if error.code() == Some(&Code::EXPIRED) => Ok(None),
+            // As long as this program's clock is not measured; the robot asks again.
+            Err(VerbFailure::Hub { error, .. }) if error.code() == Some(&Code::TRY_LATER) => Ok(None),
             Err(error) => Err(error),
         }
     }

@@ -2,6 +2,7 @@
 
 mod again;
 mod doors;
+mod held;
 mod late;
 mod survive;
 
