@@ -6,15 +6,19 @@ use mom_system::Clock;
 /// Exchanges right after the first answer, one after the other; from then on one each heartbeat.
 const QUICK: usize = 4;
 
-/// µs after which no answer to a ping is waited for any more.
-const LONGEST: i64 = 30_000_000;
+/// The oldest ping without an answer and the newest, by id and time.
+#[derive(Clone, Copy, Debug)]
+struct Asked {
+    oldest: (u64, Time),
+    newest: (u64, Time),
+}
 
 /// The pings to one peer.
 #[derive(Debug, Default)]
 pub(crate) struct Pings {
     next: u64,
-    /// The one whose answer is waited for, and when it was sent.
-    asked: Option<(u64, Time)>,
+    /// Those whose answers are waited for; none in between.
+    asked: Option<Box<Asked>>,
     /// The peer answers with its stamps, so that asking is worth it.
     stamps: bool,
 }
@@ -26,17 +30,18 @@ pub(crate) struct Measure {
 }
 
 impl Pings {
-    /// The next ping, sent now. As long as one is not answered, those after it are signs of life and nothing else: where the way there and back
-    /// takes longer than the time between two, the answer to the newest would never come in time.
+    /// The next ping, sent now. The answer to the oldest that is not answered is of use, too: where the way there and back takes longer than
+    /// the time between two, the answer to the newest never comes in time.
     pub(crate) fn next(&mut self, clock: &Clock) -> Parcel {
         let (id, sent) = (self.next, clock.wall());
         self.next += 1;
-        let waits = |(_, before): (u64, Time)| sent.micros() - before.micros();
-        if self
-            .asked
-            .is_none_or(|asked| !(0..LONGEST).contains(&waits(asked)))
-        {
-            self.asked = Some((id, sent));
+        let newest = (id, sent);
+        match &mut self.asked {
+            Some(asked) => asked.newest = newest,
+            None => {
+                let oldest = newest;
+                self.asked = Some(Box::new(Asked { oldest, newest }));
+            }
         }
         let content = Map::new().with("sent", sent);
         Parcel::new(Family::Time, "ping")
@@ -51,8 +56,17 @@ impl Pings {
     }
 
     fn answered(&mut self, pong: &Parcel) -> Option<Time> {
-        let answered = self.asked.take_if(|(id, _)| pong.reference == Some(*id));
-        answered.map(|(_, sent)| sent)
+        let asked = self.asked.as_mut()?;
+        let (answered, Asked { oldest, newest }) = (pong.reference?, **asked);
+        if answered == newest.0 {
+            self.asked = None;
+            return Some(newest.1);
+        }
+        if answered >= oldest.0 {
+            // Whoever answers one has answered those before it, or never will.
+            asked.oldest = newest;
+        }
+        (answered == oldest.0).then_some(oldest.1)
     }
 }
 
@@ -119,10 +133,14 @@ mod tests {
             pong.reference = ping.id;
             pong
         };
-        assert_eq!(pings.answered(&pong(&later[2])), None, "it is a sign of life");
         assert!(pings.answered(&pong(&first)).is_some());
         assert_eq!(pings.answered(&pong(&first)), None, "it was answered");
-        let next = pings.next(&clock);
-        assert!(pings.answered(&pong(&next)).is_some());
+        assert_eq!(pings.answered(&pong(&later[2])), None, "it is a sign of life");
+        assert!(pings.answered(&pong(&later[4])).is_some());
+        assert_eq!(pings.answered(&pong(&later[4])), None, "it was answered");
+        // Who has left one out is measured by the next.
+        let next = [pings.next(&clock), pings.next(&clock), pings.next(&clock)];
+        assert_eq!(pings.answered(&pong(&next[1])), None);
+        assert!(pings.answered(&pong(&next[2])).is_some());
     }
 }
