@@ -235,7 +235,6 @@ fn sender(route: &Route, peer: PeerId) -> Result<&Member, WireError> {
     })
 }
 
-/// Checks the guard; gives the fence to stamp.
 /// Checks that what moves a device was not said before a stop was lifted: who said it did not see what has become of the device since. It may
 /// come so late where an uplink stood still and was not lost.
 #[cold]
@@ -251,6 +250,7 @@ fn check_lifted(route: &Route, parcel: &Parcel, age: Option<Aged>, wall: Time) -
     Err(WireError::new(Code::TOO_LATE, text))
 }
 
+/// Checks the guard; gives the fence to stamp.
 fn check_guard(
     route: &Route,
     member: &Member,

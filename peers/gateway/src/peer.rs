@@ -102,6 +102,8 @@ pub struct RobotWire {
     pub send: Box<dyn Fn(Frame) -> Result<(), String> + Send + Sync>,
     /// Ends its connection, and drops what is under way on it.
     pub give_up: Box<dyn Fn() + Send + Sync>,
+    /// Connects it (true), or leaves it to others: a robot has one base station at a time.
+    pub connect: Box<dyn Fn(bool) + Send + Sync>,
 }
 
 /// Has the robots of these lines obey at the hub, until `shutdown` is done. Then they stand, and are waited for, a second at most.

@@ -11,7 +11,7 @@ use mom_device::{
     DeviceError, DevicePeer, ErrorName, Machine, Outlet, instant_of, sender, sleep_or_wait, time_since,
 };
 use mom_fleet::{StatusTeller, come_back};
-use tokio::sync::watch;
+use tokio::sync::{Notify, watch};
 use tokio::task::yield_now;
 use tokio::time::{Instant, sleep_until};
 
@@ -145,20 +145,40 @@ impl Robot {
         ended
     }
 
-    /// Keeps the robot standing until its channel is back; none if the program stops before.
+    /// Keeps the robot standing until it has a place in its channel; none if the program stops before. Where another device has that, the robot
+    /// is left to it.
     async fn wait_for_channel(
         &mut self,
         stopping: &mut watch::Receiver<bool>,
     ) -> Result<Option<Channel>, ClientError> {
-        let place = self.place.clone();
-        let back = come_back(|| place.enter());
-        let mut back = pin!(back);
+        let (place, occupied) = (self.place.clone(), Notify::new());
+        let enter = || async {
+            let entered = place.enter().await;
+            if matches!(&entered, Err(error) if error.code() == Some(&mom_client::Code::OCCUPIED)) {
+                occupied.notify_one();
+            }
+            entered
+        };
+        let mut back = pin!(come_back(enter));
+        let mut is_left = false;
         loop {
+            let mut leaves = false;
             tokio::select! {
                 biased;
                 _ = stopping.wait_for(|stop| *stop) => return Ok(None),
+                () = occupied.notified(), if !is_left => leaves = true,
                 wired = self.serve_wire() => if !wired { return Ok(None) },
-                entered = &mut back => return entered.map(Some),
+                entered = &mut back => {
+                    if is_left {
+                        (self.line.connect)(true);
+                    }
+                    return entered.map(Some);
+                }
+            }
+            if leaves {
+                self.stand().await;
+                (self.line.connect)(false);
+                is_left = true;
             }
         }
     }

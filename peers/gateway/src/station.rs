@@ -37,7 +37,7 @@ pub fn lines(station: &Station) -> Vec<RobotWire> {
             continue;
         };
         let is_up = now.borrow().state == State::Writable;
-        let (station, other) = (station.clone(), station.clone());
+        let (station, other, third) = (station.clone(), station.clone(), station.clone());
         lines.push(RobotWire {
             unit,
             group: snapshot.robot.group.clone(),
@@ -53,6 +53,12 @@ pub fn lines(station: &Station) -> Vec<RobotWire> {
             give_up: Box::new(move || {
                 // It is one of them.
                 let _ = other.give_up(unit);
+            }),
+            connect: Box::new(move |connects| {
+                let _ = match connects {
+                    true => third.connect(unit),
+                    false => third.disconnect(unit),
+                };
             }),
         });
     }

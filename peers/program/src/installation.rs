@@ -45,7 +45,7 @@ fn remembered(directory: &Path) -> io::Result<String> {
     }
     fs::create_dir_all(directory)?;
     let mut bits = [0; 16];
-    getrandom::fill(&mut bits)?;
+    getrandom::fill(&mut bits).map_err(|error| io::Error::other(error.to_string()))?;
     let id = format!("{:032x}", u128::from_le_bytes(bits));
     // Of two programs that are started at once both have the name of the one that was first.
     let mut own = tempfile::NamedTempFile::new_in(directory)?;

@@ -127,7 +127,7 @@ async fn live(
         }
         tracing::warn!(
             path = options.path,
-            "the robot's channel is gone; it stands until that is back"
+            "the robot has no place in its channel; it stands until it has"
         );
         let back = come_back(|| enter_robot(client, options));
         let mut back = pin!(back);

@@ -23,6 +23,7 @@ mod faults;
 mod first_hour;
 mod fleet;
 mod fleet_web;
+mod gateways;
 mod guards;
 mod heartbeat;
 

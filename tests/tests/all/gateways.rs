@@ -1,0 +1,55 @@
+//! Two gateways of one fleet: a robot has one base station at a time, and its channel one device.
+
+use std::path::Path;
+
+use mom_tests::programs::{PATIENCE, Running, project, run, text};
+
+/// Has the robot do something, once it is within reach of the gateway that has its channel.
+fn obeys(hub: &str) {
+    let user = [("MOM_HUB", hub), ("MOM_USER", "alice"), ("MOM_PASSWORD", "alice")];
+    let until = std::time::Instant::now() + PATIENCE;
+    loop {
+        let output = run("mom", &["fleet", "send", "1", "leds 1"], &user);
+        if output.status.success() {
+            return;
+        }
+        assert!(std::time::Instant::now() < until, "{}", text(&output.stderr));
+    }
+}
+
+#[test]
+fn a_gateway_without_a_place_in_the_channels_leaves_the_robots_to_the_other() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let fleet = folder.path().join("fleet.toml");
+    let fleet = fleet.to_str().expect("a path in text");
+    let _robot = Running::start(
+        "mom-linuxbot",
+        &["--robots", "1", "--write-fleet", fleet, "--listen", "127.0.0.1:0"],
+        &[],
+    );
+    let (_broker, address) = Running::broker(&project().join("config/fleet.toml"));
+    let hub = format!("bin://{address}");
+    let gateway = |state: &Path| {
+        let state = state.to_str().expect("a path in text");
+        Running::start(
+            "mom-gateway",
+            &["--fleet", fleet, "--hub", &hub, "--manager", "robot-token"],
+            &[("MOM_PASSWORD", "gateway"), ("XDG_STATE_HOME", state)],
+        )
+    };
+    let (own, other) = (folder.path().join("own"), folder.path().join("other"));
+    let first = gateway(&own);
+    obeys(&hub);
+    // The same program, started once more: the first is put out, and hangs up.
+    let second = gateway(&own);
+    obeys(&hub);
+    // A spare one waits until there is a place, and takes nothing before.
+    let spare = gateway(&other);
+    obeys(&hub);
+    for ended in [first, second] {
+        ended.signal("KILL");
+        ended.wait();
+        obeys(&hub);
+    }
+    drop(spare);
+}
