@@ -10,8 +10,10 @@ import { type Wire, connectWire } from "./wire.js";
 
 const FIRST_WAIT = 100;
 const LONGEST_WAIT = 30_000;
-/** So long before the end of the grace time the last attempt of a resume begins, at most. */
+/** From so long before the end of the grace time on, at most, each wait is half of what is left of it. */
 const LAST_ATTEMPT = 500;
+/** … but no less than this. */
+const SHORTEST_WAIT = 50;
 
 /** The door that worked last, by address: it is tried first. */
 const worked = new Map<string, string>();
@@ -180,10 +182,11 @@ export class Attempts {
 
   /**
    * How long to wait, but no less than the hub asked for. While a link can be resumed, which is for `left` ms of its grace time, several
-   * attempts fall into that, and the last of them just before its end.
+   * attempts fall into that, and more of them just before its end.
    */
   next(error: MomError | undefined, grace = 0, left = 0): number {
     const last = left - Math.min(LAST_ATTEMPT, grace / 8);
+    if (last <= 0 && left > SHORTEST_WAIT) return Math.max(left / 2, SHORTEST_WAIT, error?.retryAfter ?? 0);
     const bound = last > 0 ? Math.min(this.#bound, grace / 4) : this.#bound;
     this.#bound = Math.min(2 * this.#bound, LONGEST_WAIT);
     return Math.max(Math.min(Math.random() * bound, last > 0 ? last : Infinity), error?.retryAfter ?? 0);

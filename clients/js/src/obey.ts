@@ -28,6 +28,8 @@ export class Device {
   readonly #latch = new Latch();
   readonly #events: Events;
   #silent = false;
+  /** Why it is no device any more. */
+  #over: string | null = null;
 
   /** @internal */
   constructor(
@@ -43,6 +45,7 @@ export class Device {
 
   /** Why it may not move, if it may not. */
   mayMove(): Held | null {
+    if (this.#over !== null) return { held: "unknown", text: this.#over };
     return this.#latch.mayMove() ?? (this.#silent ? { held: "unknown", text: "the hub is silent" } : null);
   }
 
@@ -75,13 +78,15 @@ export class Device {
       for await (const event of this.#events) this.#heard(event);
     } finally {
       // Also where its machine has failed.
-      this.machine.halt("it is no device of its channel any more");
+      this.#over ??= "it is no device of its channel any more";
+      this.machine.halt(this.#over);
     }
   }
 
   #heard(event: Event): void {
     const turn = this.#latch.observe(event);
     if (turn) this.#take(turn);
+    if (event.type === "expelled" && event.peer === this.channel.client.name) this.#over = `it was put out of its channel${event.text ? `: ${event.text}` : ""}`;
     if (event.type === "lagged") this.#tellOwnStop();
     else if (event.type === "joined") this.report([event.member.peer]);
     // Without names of who joined, all are told.

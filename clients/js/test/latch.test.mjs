@@ -69,6 +69,19 @@ async function device(t, options = {}, settings = {}) {
   return { hub, client, arm, told, say, said, books: (next) => (stop = next) };
 }
 
+test("a device that is put out of its channel halts, says why it may not move, and obeys nothing that comes after it", async (t) => {
+  const { hub, client, arm, told, say } = await device(t);
+  await eventually(() => arm.mayMove() === null);
+  // Another one that is put out is no matter of this one.
+  hub.link.say({ family: "event", name: "expelled", context: "/robot/arm", sender: "hub", content: { peer: "bob", text: "off" } });
+  say("command", { content: "before" });
+  hub.link.say({ family: "event", name: "expelled", context: "/robot/arm", sender: "hub", content: { peer: client.name, text: "arm~2 is the device here now" } });
+  say("command", { content: "after" });
+  await arm.ended;
+  assert.deepEqual(told, ["before", "halt: it was put out of its channel: arm~2 is the device here now"]);
+  assert.deepEqual(arm.mayMove(), { held: "unknown", text: "it was put out of its channel: arm~2 is the device here now" });
+});
+
 test("a device obeys stops by their numbers, and says after each how it stands", async (t) => {
   const { arm, told, say, said } = await device(t);
   await eventually(() => said("state").length === 1);

@@ -275,7 +275,7 @@ test("several attempts fall into the grace time, and the last one is made just b
     let at = 0;
     for (let wait; at + (wait = attempts.next(undefined, grace, grace - at)) < grace; at += wait) waits.push(wait);
     assert.ok(waits.length >= 4 && Math.max(...waits) <= Math.min(grace / 4, 30_000), `${grace}: ${waits}`);
-    assert.ok(at >= grace - Math.max(500, grace / 8), `${grace}: the last at ${at}`);
+    assert.ok(at >= grace - 100, `${grace}: the last at ${at}`);
   }
   const attempts = new Attempts(Infinity, never);
   // What the hub asks for holds, whatever the grace time is.
@@ -284,7 +284,7 @@ test("several attempts fall into the grace time, and the last one is made just b
   Math.random = () => 1;
   try {
     for (let count = 0; count < 20; count++) attempts.next(undefined, 1000, 900);
-    assert.deepEqual([attempts.next(undefined, 1000, 900), attempts.next(undefined, 1000, 100), attempts.next(undefined)], [250, 30_000, 30_000]);
+    assert.deepEqual([attempts.next(undefined, 1000, 900), attempts.next(undefined, 1000, 120), attempts.next(undefined, 1000, 50), attempts.next(undefined)], [250, 60, 30_000, 30_000]);
     // At the hub's side of it: 0.1, 0.3, 0.675 and 1.05 s after the loss nobody is there, at 1.3 s it is.
     const hub = await start({ grace: 1500 });
     const client = await open(hub.url);

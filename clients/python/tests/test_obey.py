@@ -160,6 +160,20 @@ async def test_a_device_learns_from_a_halt_which_token_guards_it_from_now_on(rob
     await robot.until(lambda: "unguarded" in robot.told)
 
 
+async def test_a_device_that_is_put_out_of_its_channel_halts_and_says_why(robot: Robot) -> None:
+    await robot.start()
+    # Another one that is put out is no matter of this one.
+    robot.tell("expelled", peer="bob", text="off")
+    robot.say("command", "before")
+    robot.tell("expelled", peer=robot.client.name, text="arm~2 is the device here now")
+    robot.say("command", "after")
+    await robot.arm.ended()
+    words = "it was put out of its channel: arm~2 is the device here now"
+    assert robot.told == ["before", f"halt: {words}"]
+    held = robot.arm.may_move()
+    assert held is not None and (held.word, held.text) == ("unknown", words)
+
+
 async def test_what_the_hub_itself_says_is_the_safe_state(robot: Robot) -> None:
     await robot.start()
     # Only the hub may say this.

@@ -85,10 +85,10 @@ async fn say(channel: &Channel, line: &str, output: Output) -> bool {
             true
         }
         Err(error) => {
-            let what = "not sent";
             match error.wire() {
-                Some(error) => output.remark(refusal_text(what, error)),
-                None => output.remark(ink(format_args!("{what}: {error}"), Tone::Bad)),
+                Some(error) => output.remark(refusal_text("not sent", error)),
+                // It may have left before the connection was lost.
+                None => output.remark(ink(format_args!("without a receipt: {error}"), Tone::Bad)),
             }
             false
         }

@@ -213,6 +213,10 @@ impl<M: Machine> DevicePeer<M> {
             Event::Message(parcel) => self.client.clock().age(parcel),
             _ => None,
         };
+        // It may have come back as another peer, by whose name it is put out and says its own stops.
+        if matches!(event, Event::Rejoined) {
+            self.server.set_name(self.client.name());
+        }
         let now = self.now();
         self.server.handle(event, &self.gate, age, now, &mut self.out);
         match event {

@@ -9,7 +9,7 @@ from typing import Any, Awaitable, Coroutine, Dict, List, Mapping, Optional, Set
 
 from .core import Core
 from .errors import MomError
-from .events import Dropped, Event, Joined, Lagged, Message, Rejoined, Released, StateChanged
+from .events import Dropped, Event, Expelled, Joined, Lagged, Message, Rejoined, Released, StateChanged
 from .gate import StaleError
 from .latch import Held, Latch, Reaction
 from .proxies import Channel
@@ -62,12 +62,14 @@ class Device:
         if heartbeat > _SLOW_HEARTBEAT:
             text = "the device of %s hears only after %g s that its hub is silent: connect with heartbeat=0.5"
             LOG.warning(text, channel.path, heartbeat * 1.5 / 1000)
+        self._over = "it is no device of its channel any more"
+        """Why, once it is so."""
         self._obeying = asyncio.ensure_future(self._obey())
 
     def may_move(self) -> Optional[Held]:
         """Why it may not move; `None` if it may."""
         if self._obeying.done():
-            return Held("unknown", "it is no device of its channel any more")
+            return Held("unknown", self._over)
         is_silent = self._core.state.word != "connected"
         return self._latch.may_move() or (Held("unknown", "the hub is silent") if is_silent else None)
 
@@ -105,12 +107,15 @@ class Device:
             raise
         finally:
             self._events.close()
-            self._halt("it is no device of its channel any more")
+            self._halt(self._over)
 
     def _heard(self, event: Event) -> None:
         reaction = self._latch.observe(event)
         if reaction is not None:
             self._take(reaction)
+        if isinstance(event, Expelled) and event.peer == self._core.peer:
+            self._over = "it was put out of its channel" + (f": {event.text}" if event.text else "")
+            LOG.warning("%s: %s", self.channel.path, self._over)
         if isinstance(event, Lagged):
             self._say(self._tell_own_stop())
         elif isinstance(event, StateChanged):

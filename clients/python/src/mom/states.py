@@ -9,7 +9,10 @@ from typing import Optional
 from .errors import WireError
 
 _LAST_ATTEMPT = 0.5
-"""So many seconds before the end of the grace time the last attempt of a resume begins, at most."""
+"""From so many seconds before the end of the grace time on, at most, each wait is half of what is left of it."""
+
+_SHORTEST_WAIT = 0.05
+"""… but no less than this."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +52,15 @@ class Reconnect:
     def delay(self, attempt: int, at_least: Optional[float] = None, grace: float = 0.0, left: float = 0.0) -> float:
         """The delay before this attempt, from 0; no less than what the hub asked for.
 
-        While a link can be resumed, which is for `left` seconds of its `grace`, several attempts fall into that, and the last
-        of them just before its end.
+        While a link can be resumed, which is for `left` seconds of its `grace`, several attempts fall into that, and more of
+        them just before its end.
         """
         bound = min(self.most, self.first * 2 ** min(attempt, 32))
         last = left - min(_LAST_ATTEMPT, grace / 8)
-        wait = random.uniform(0, bound) if last <= 0 else min(random.uniform(0, min(bound, grace / 4)), last)
+        if last > 0:
+            wait = min(random.uniform(0, min(bound, grace / 4)), last)
+        elif left > _SHORTEST_WAIT:
+            wait = max(left / 2, _SHORTEST_WAIT)
+        else:
+            wait = random.uniform(0, bound)
         return max(wait, at_least or 0.0)

@@ -144,6 +144,12 @@ impl Stage {
                 lease: None,
                 path: Path::parse("/robot/token").unwrap(),
             }),
+            ["expelled", peer] => self.tell(&Event::Expelled {
+                peer: peer.to_owned(),
+                by: None,
+                text: Some("arm~2 is the device here now".to_owned()),
+                path: Path::parse("/robot/arm").unwrap(),
+            }),
             ["released", fence] => self.released("released", fence),
             ["given", fence] => self.released("given", fence),
             ["returned", fence] => self.released("returned", fence),

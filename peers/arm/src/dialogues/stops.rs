@@ -46,6 +46,29 @@ fn a_gap_is_a_stop_of_which_it_tells_the_hub() {
 }
 
 #[test]
+fn one_that_is_put_out_of_its_channel_halts_and_ends_what_it_was_told() {
+    let mut stage = Stage::new();
+    stage.server.set_name("robot".to_owned());
+    stage.act("alice command 1 5: move 300 0 300 0 0; home");
+    stage.pass(500);
+    stage.out.clear();
+    // Another one is no matter of this one.
+    stage.act("expelled bob");
+    assert!(stage.out.is_empty() && stage.server.state().moving);
+    stage.act("expelled robot");
+    let ended = stage.heard();
+    assert!(
+        ended
+            .iter()
+            .any(|line| line.contains("error") && line.contains("halted")),
+        "{ended:?}"
+    );
+    stage.pass(2_000);
+    let stands = stage.server.state();
+    assert!(!stands.moving && stands.rest.is_some(), "{stands:?}");
+}
+
+#[test]
 fn a_stopped_arm_says_when_it_rests() {
     let mut stage = Stage::new();
     let rests = |stage: &mut Stage| {
