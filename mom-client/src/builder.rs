@@ -1,6 +1,6 @@
 //! Making a client.
 
-use std::fmt;
+use std::fmt::{self, Display};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
@@ -18,7 +18,7 @@ use crate::login::{Connector, Local};
 use crate::proof::Credentials;
 use crate::shared::{Settings, Shared};
 use crate::survive::LinkSecret;
-use crate::{ClientError, Key, Proof, Reconnect, Report, driver, reconnect};
+use crate::{ClientError, Key, Proof, Reconnect, Report, TokenSource, driver, reconnect};
 
 /// Longer than chairs usually have for an answer (M24).
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(40);
@@ -137,6 +137,16 @@ impl Builder {
     /// the link, unless [`Client::authenticate_again`] came before.
     pub fn token(self, token: impl Into<String>) -> Builder {
         self.proof(Proof::Token(token.into()))
+    }
+
+    /// The same, from a function that is asked at each login, so that a token that has expired is fetched anew. Where it has worked once its
+    /// errors are those of a connection: it is asked again later.
+    pub fn token_from<F, E>(self, ask: impl Fn() -> F + Send + Sync + 'static) -> Builder
+    where
+        F: Future<Output = Result<String, E>> + Send + 'static,
+        E: Display,
+    {
+        self.proof(Proof::TokenFrom(TokenSource::new(ask)))
     }
 
     /// The certificate of this peer, shown to a hub over TLS and a proof of who it is: its fingerprint stands in the
@@ -336,7 +346,10 @@ fn doors(
     credentials: &mut Credentials,
     trust: Option<Trust>,
 ) -> Result<Doors, ClientError> {
-    let secret = matches!(credentials.proof, Proof::Password(_) | Proof::Token(_));
+    let secret = matches!(
+        credentials.proof,
+        Proof::Password(_) | Proof::Token(_) | Proof::TokenFrom(_)
+    );
     let mut permitted = address.doors(address.any && secret);
     if matches!(credentials.proof, Proof::Certificate(_)) {
         permitted.retain(|door| door.tls || !address.any);

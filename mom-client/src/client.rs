@@ -106,7 +106,7 @@ impl Client {
         let shared = self.shared();
         let known = shared.credentials.lock().clone();
         let credentials = Credentials { proof, ..known };
-        let mut reply = self.request(credentials.login()?).await?;
+        let mut reply = self.request(credentials.login().await?).await?;
         if is_challenge(&reply) {
             reply = self.request(credentials.answer(&reply)?).await?;
         }

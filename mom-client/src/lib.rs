@@ -105,7 +105,7 @@ pub use mom_proto::{
 };
 pub use predict::{Model, Prediction, Predictor};
 pub use probe::Probe;
-pub use proof::Proof;
+pub use proof::{Proof, TokenSource};
 pub use reconnect::{LinkState, Reconnect};
 pub use refusal::{Refusal, ordinal, plain_duration};
 pub use report::{Report, report};

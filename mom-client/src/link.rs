@@ -85,12 +85,16 @@ async fn read(
                 // It is answered.
                 spoke.store(uptime(), Ordering::Relaxed);
             }
+            let word = match &frame {
+                Frame::Parcel(parcel) => Some(parcel.checksum_word()),
+                Frame::Malformed { .. } => None,
+            };
             match frame {
                 Frame::Parcel(parcel) => shared.receive(*parcel),
                 Frame::Malformed { error, .. } => shared.receive_malformed(error),
             }
             if counts {
-                shared.count_read(reader.received());
+                shared.count_read(word, reader.received());
             }
         }
         if !reader.arrive().await? {

@@ -157,7 +157,7 @@ async fn log_in(
     ids: &AtomicU64,
 ) -> Result<Connected, ClientError> {
     let answer = |challenge: &Parcel| credentials.answer(challenge);
-    let reply = prove(&mut transceiver, credentials.login()?, answer, ids).await?;
+    let reply = prove(&mut transceiver, credentials.login().await?, answer, ids).await?;
     let welcome = Welcome::read(reply)?;
     let limits = welcome.limits.for_decoder();
     transceiver.reader.set_limits(&limits);

@@ -2,6 +2,8 @@
 
 use std::fmt;
 use std::ops::RangeInclusive;
+use std::pin::Pin;
+use std::sync::Arc;
 use std::time::Duration;
 
 use mom_net::{Address, Identity};
@@ -27,10 +29,38 @@ pub enum Proof {
     Key(Key),
     /// A token (JWT) of an issuer that the hub trusts; it names the user itself, and is taken over TLS or loopback only.
     Token(String),
+    /// The same, asked for at each login: it may have expired when the connection is lost.
+    TokenFrom(TokenSource),
     /// A certificate of the user's, shown over TLS.
     Certificate(Identity),
     /// None: a guest, where the hub lets guests in.
     Guest,
+}
+
+/// What gives a token (JWT) for each login.
+#[derive(Clone)]
+pub struct TokenSource(Arc<dyn Fn() -> Asked + Send + Sync>);
+
+type Asked = Pin<Box<dyn Future<Output = Result<String, String>> + Send>>;
+
+impl TokenSource {
+    /// Asks this function.
+    pub fn new<F, E>(ask: impl Fn() -> F + Send + Sync + 'static) -> TokenSource
+    where
+        F: Future<Output = Result<String, E>> + Send + 'static,
+        E: fmt::Display,
+    {
+        TokenSource(Arc::new(move || {
+            let asked = ask();
+            Box::pin(async move { asked.await.map_err(|error| error.to_string()) })
+        }))
+    }
+}
+
+impl fmt::Debug for TokenSource {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("TokenSource")
+    }
 }
 
 impl fmt::Debug for Proof {
@@ -40,6 +70,7 @@ impl fmt::Debug for Proof {
             Proof::Password(_) => "Password",
             Proof::Key(_) => "Key",
             Proof::Token(_) => "Token",
+            Proof::TokenFrom(_) => "TokenFrom",
             Proof::Certificate(_) => "Certificate",
             Proof::Guest => "Guest",
         })
@@ -72,7 +103,7 @@ impl Credentials {
     pub(crate) fn check(&self) -> Result<(), ClientError> {
         let what = match &self.proof {
             Proof::Password(_) => "password",
-            Proof::Token(_) => "token",
+            Proof::Token(_) | Proof::TokenFrom(_) => "token",
             Proof::Key(_) | Proof::Certificate(_) | Proof::Guest => return Ok(()),
         };
         let Some(address) = self.address.as_ref().filter(|address| !address.is_private()) else {
@@ -106,16 +137,26 @@ impl Credentials {
         Err(ClientError::Local(error))
     }
 
-    /// `login login`
+    /// `login login`, with a token that is asked for now.
     ///
     /// # Errors
-    /// As [`Credentials::check`].
-    pub(crate) fn login(&self) -> Result<Parcel, ClientError> {
+    /// As [`Credentials::check`]; `Connection` if no token is given.
+    pub(crate) async fn login(&self) -> Result<Parcel, ClientError> {
         self.check()?;
+        let given = match &self.proof {
+            Proof::TokenFrom(source) => {
+                let given = (source.0)().await;
+                given.map_err(|error| {
+                    ClientError::Connection(format!("there is no token to log in with: {error}"))
+                })?
+            }
+            _ => String::new(),
+        };
         let name = Map::new().with("name", self.user.as_str());
         let mut content = match &self.proof {
             Proof::Password(password) => name.with("password", password.as_str()),
             Proof::Key(_) => name.with("key", true),
+            Proof::TokenFrom(_) => Map::new().with("token", given),
             Proof::Token(token) => Map::new().with("token", token.as_str()),
             Proof::Certificate(_) => name.with("certificate", true),
             Proof::Guest => Map::new().with("guest", true),

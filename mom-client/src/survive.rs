@@ -7,7 +7,8 @@ use std::time::Duration;
 use hmac::{Hmac, Mac};
 use mom_net::{DropReason, Ledger, Rewound};
 use mom_proto::{
-    ContextNumber, Family, LINK_CONTEXT, Map, NONCE_BYTES, Parcel, Path, SECRET_BYTES, Value, link_challenge,
+    ContextNumber, Family, LINK_CONTEXT, Map, NONCE_BYTES, Parcel, Path, ReadCount, SECRET_BYTES, Value,
+    link_challenge,
 };
 use sha2::Sha256;
 
@@ -24,6 +25,9 @@ const TELL_BYTES: u64 = 64 * 1024;
 /// Where so many bytes are kept that the hub has not read, no more are sent: the hub keeps no more of a lost peer either.
 const KEPT: usize = 4 * 1024 * 1024;
 
+/// The minor version from which on the hub takes a checksum of what was read.
+const CHECKSUMS: u64 = 3;
+
 /// What the hub gave at login, for coming back.
 #[derive(Clone)]
 pub(crate) struct LinkSecret {
@@ -31,6 +35,8 @@ pub(crate) struct LinkSecret {
     secret: Vec<u8>,
     /// For how long the hub keeps this peer's place.
     pub(crate) grace: Duration,
+    /// The hub takes a checksum of what was read: those of earlier versions refuse it.
+    checks: bool,
 }
 
 // Logs must not hold it.
@@ -48,7 +54,7 @@ impl std::fmt::Debug for LinkSecret {
 pub(crate) struct Counted {
     pub(crate) secret: LinkSecret,
     /// Parcels of the hub that were read.
-    pub(crate) read: u64,
+    pub(crate) read: ReadCount,
     /// Those of them that the hub was told of, and how many bytes had come then.
     told: u64,
     told_at: u64,
@@ -58,7 +64,7 @@ pub(crate) struct Counted {
 #[derive(Debug)]
 pub(crate) struct Resumption {
     /// Parcels of this peer that it has read.
-    pub(crate) read: u64,
+    pub(crate) read: ReadCount,
     /// Parcels of its own that it had sent and does not send again.
     pub(crate) dropped: u64,
     pub(crate) content: Map,
@@ -70,11 +76,14 @@ impl LinkSecret {
         let link = welcome.get("link").and_then(Value::as_map)?;
         let secret = link.get("secret").and_then(Value::as_binary)?;
         let grace = Duration::from_millis(number(link, "grace")?);
+        let version = welcome.get("protocol").and_then(Value::as_map);
+        let minor = version.and_then(|version| number(version, "minor"));
         let known = secret.len() == SECRET_BYTES;
         known.then_some(LinkSecret {
             id: text(link, "id")?.to_owned(),
             secret: secret.to_vec(),
             grace,
+            checks: minor.is_some_and(|minor| minor >= CHECKSUMS),
         })
     }
 
@@ -90,7 +99,7 @@ impl LinkSecret {
     ///
     /// # Errors
     /// `Local` for a hub that asks for something else.
-    pub(crate) fn answer(&self, challenge: &Parcel, read: u64) -> Result<Parcel, ClientError> {
+    pub(crate) fn answer(&self, challenge: &Parcel, read: ReadCount) -> Result<Parcel, ClientError> {
         let content = map_of(challenge);
         if text(&content, "context") != Some(LINK_CONTEXT) {
             return Err(bad_reply("challenge of a resume"));
@@ -104,17 +113,18 @@ impl LinkSecret {
         let mut mac = Hmac::<Sha256>::new_from_slice(&self.secret).map_err(|_| bad_reply("secret"))?;
         mac.update(&link_challenge(hub, &self.id, nonce));
         let proof = Value::Binary(mac.finalize().into_bytes().to_vec().into());
-        let read = i64::try_from(read).unwrap_or(i64::MAX);
+        let checksum = read.checksum.filter(|_| self.checks);
+        let read = ReadCount { checksum, ..read };
         Ok(Parcel::new(Family::Login, "answer")
             .context(Path::root())
-            .content(Map::new().with("proof", proof).with("read", read)))
+            .content(read.put(Map::new().with("proof", proof))))
     }
 }
 
 impl Resumption {
     /// From the content of the reply.
     pub(crate) fn read(content: Map) -> Result<Resumption, ClientError> {
-        let read = number(&content, "read").ok_or_else(|| bad_reply("read"))?;
+        let read = ReadCount::of(&content).ok_or_else(|| bad_reply("read"))?;
         let resumed = content.get("resumed").and_then(Value::as_bool) == Some(true);
         if !resumed {
             return Err(bad_reply("resumed = true"));
@@ -131,7 +141,7 @@ impl Counted {
     fn new(secret: LinkSecret) -> Counted {
         Counted {
             secret,
-            read: 0,
+            read: ReadCount::new(),
             told: 0,
             told_at: 0,
         }
@@ -156,15 +166,15 @@ impl Shared {
         KEPT.saturating_sub(kept)
     }
 
-    /// Counts a parcel of the hub that was read, and tells the hub if it is time; so many bytes have come.
-    pub(crate) fn count_read(&self, received: u64) {
+    /// Counts a parcel of the hub that was read, by its word in the checksum, and tells the hub if it is time; so many bytes have come.
+    pub(crate) fn count_read(&self, word: Option<u32>, received: u64) {
         if !self.counts.load(Ordering::Relaxed) {
             return;
         }
         let mut state = self.lock();
         let Some(counted) = &mut state.counted else { return };
-        counted.read += 1;
-        let due = counted.read - counted.told >= TELL_PARCELS
+        counted.read.count(word);
+        let due = counted.read.parcels - counted.told >= TELL_PARCELS
             || received.saturating_sub(counted.told_at) >= TELL_BYTES;
         if due {
             counted.told_at = received;
@@ -179,13 +189,12 @@ impl Shared {
         let Some(counted) = state
             .counted
             .as_mut()
-            .filter(|counted| counted.read > counted.told)
+            .filter(|counted| counted.read.parcels > counted.told)
         else {
             return;
         };
-        counted.told = counted.read;
-        let read = i64::try_from(counted.read).unwrap_or(i64::MAX);
-        let ack = Parcel::new(Family::Time, "ack").content(Map::new().with("read", read));
+        counted.told = counted.read.parcels;
+        let ack = Parcel::new(Family::Time, "ack").content(counted.read.put(Map::new()));
         // A lost connection needs no acknowledgement: the next one says how much was read.
         let _ = self.ask_in(state, ack, &mut None);
     }
@@ -194,14 +203,14 @@ impl Shared {
     pub(crate) fn acknowledged(&self, ack: &Parcel) {
         let state = self.lock();
         let mut ledger = self.ledger.lock();
-        let read = number(&map_of(ack), "read");
+        let read = ReadCount::of(&map_of(ack));
         let (Some(kept), Some(read)) = (ledger.as_mut(), read) else {
             return;
         };
         if let Err(bad) = state.outbox.acknowledge(kept, read) {
             tracing::warn!(
                 ?bad,
-                "the hub has read what was not sent: a lost connection will not be resumed"
+                "the hub has read other parcels than those that were sent: a lost connection will not be resumed"
             );
             *ledger = None;
         }
@@ -253,14 +262,14 @@ impl Shared {
                 return false;
             }
             Err(bad) => {
-                tracing::warn!(?bad, "the hub has read what was not sent");
+                tracing::warn!(?bad, "the hub has read other parcels than those that were sent");
                 return false;
             }
         };
         drop(ledger);
         state.status = Status::Up;
         if let Some(counted) = &mut state.counted {
-            (counted.told, counted.told_at) = (counted.read, 0);
+            (counted.told, counted.told_at) = (counted.read.parcels, 0);
         }
         // The others are told one by one.
         let unknown = unread.saturating_sub(late.len() as u64);

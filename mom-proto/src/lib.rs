@@ -17,6 +17,7 @@
 mod arbitrary;
 pub mod binary;
 mod challenge;
+mod checksum;
 mod clock_offset;
 pub mod codec;
 mod codes;
@@ -54,6 +55,7 @@ pub mod xml;
 pub use challenge::{
     LINK_CONTEXT, LOGIN_CONTEXT, NONCE_BYTES, SECRET_BYTES, link_challenge, login_challenge,
 };
+pub use checksum::{Checksum, ReadCount};
 pub use clock_offset::{ClockOffset, Exchange, OffsetEstimator};
 pub use codes::Code;
 pub use content::Content;

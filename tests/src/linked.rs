@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 
 use hmac::{Hmac, Mac};
 use mom_proto::codec::Form;
-use mom_proto::{Family, Map, Parcel, Value, WireError, link_challenge};
+use mom_proto::{Family, Map, Parcel, ReadCount, Value, WireError, link_challenge};
 use sha2::Sha256;
 
 use crate::raw::{Raw, at};
@@ -17,7 +17,7 @@ pub struct Link {
     /// What only it and the hub know.
     pub secret: Vec<u8>,
     /// The parcels of the hub that it has read.
-    pub read: u64,
+    pub read: ReadCount,
 }
 
 /// A raw connection whose peer may come back.
@@ -54,7 +54,7 @@ impl Linked {
         let link = Link {
             id: text("id").expect("an id"),
             secret: secret.expect("a secret").to_vec(),
-            read: 0,
+            read: ReadCount::new(),
         };
         Linked { raw, link }
     }
@@ -62,7 +62,9 @@ impl Linked {
     /// The next parcel, counted.
     pub async fn next(&mut self) -> Option<Parcel> {
         let parcel = self.raw.next().await?;
-        self.link.read += u64::from(parcel.family != Family::Time);
+        if parcel.family != Family::Time {
+            self.link.read.count(Some(parcel.checksum_word()));
+        }
         Some(parcel)
     }
 
@@ -102,8 +104,7 @@ impl Linked {
 
     /// Tells the hub how much was read.
     pub async fn acknowledge(&mut self) {
-        let read = i64::try_from(self.link.read).unwrap_or(i64::MAX);
-        let ack = Parcel::new(Family::Time, "ack").content(Map::new().with("read", read));
+        let ack = Parcel::new(Family::Time, "ack").content(self.link.read.put(Map::new()));
         self.raw.send_parcel(&ack).await;
     }
 
@@ -174,8 +175,7 @@ impl Link {
         let mut mac = Hmac::<Sha256>::new_from_slice(&self.secret).expect("any key will do");
         mac.update(&link_challenge(hub, &self.id, nonce));
         let proof = Value::Binary(mac.finalize().into_bytes().to_vec().into());
-        let read = i64::try_from(self.read).unwrap_or(i64::MAX);
-        let content = Map::new().with("proof", proof).with("read", read);
+        let content = self.read.put(Map::new().with("proof", proof));
         let id = raw
             .post(Parcel::new(Family::Login, "answer").content(content))
             .await;

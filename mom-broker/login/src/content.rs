@@ -1,9 +1,9 @@
 //! The content of a login. Its errors quote nothing, because it may be a secret in the wrong field.
 
 use mom_proto::nearest::nearest;
-use mom_proto::{Code, Map, Parcel, SECRET_BYTES, Value, ValueKind, WireError, ZSTD, check_name};
+use mom_proto::{Code, Map, Parcel, ReadCount, SECRET_BYTES, Value, ValueKind, WireError, ZSTD, check_name};
 
-use crate::resume::{LinkWish, Wishes};
+use crate::resume::{LinkWish, ResumeAnswer, Wishes};
 
 /// A login request.
 #[derive(Debug)]
@@ -130,20 +130,26 @@ pub(super) fn read_link(parcel: &Parcel, longest: usize) -> Result<String, WireE
 }
 
 /// Reads the content of the answer to a resume's challenge.
-pub(super) fn read_proof(parcel: &Parcel) -> Result<(Vec<u8>, u64), WireError> {
+pub(super) fn read_proof(parcel: &Parcel) -> Result<ResumeAnswer, WireError> {
     let mut map = map_of(parcel, "an answer to a resume needs content {proof, read}")?;
     let proof = take(&mut map, "proof");
     let read = take_count(&mut map, "read")?;
-    check_rest(&map, &["proof", "read"])?;
+    let checksum = take_count(&mut map, "checksum")?;
+    check_rest(&map, &["proof", "read", "checksum"])?;
     let proof = proof.ok_or_else(|| wrong("proof", "it is missing"))?;
     let proof = proof
         .as_binary()
         .filter(|proof| proof.len() == SECRET_BYTES)
         .ok_or_else(|| wrong("proof", "32 bytes, binary, are wanted"))?;
-    Ok((
-        proof.to_vec(),
-        read.ok_or_else(|| wrong("read", "it is missing"))?,
-    ))
+    Ok(ResumeAnswer {
+        proof: proof.to_vec(),
+        read: ReadCount {
+            parcels: read.ok_or_else(|| wrong("read", "it is missing"))?,
+            checksum: checksum
+                .map(|checksum| u32::try_from(checksum).map_err(|_| wrong("checksum", "it has 32 bits")))
+                .transpose()?,
+        },
+    })
 }
 
 fn map_of(parcel: &Parcel, wanted: &str) -> Result<Map, WireError> {

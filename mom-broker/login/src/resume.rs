@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use hmac::{Hmac, Mac};
 use mom_proto::{
-    Code, LINK_CONTEXT, Map, Micros, NONCE_BYTES, Parcel, SECRET_BYTES, Value, WireError, link_challenge,
+    Code, LINK_CONTEXT, Map, Micros, NONCE_BYTES, Parcel, ReadCount, SECRET_BYTES, Value, WireError,
+    link_challenge,
 };
 use sha2::Sha256;
 
@@ -48,9 +49,9 @@ pub struct ResumeChallenge {
 /// The answer to it.
 #[derive(Clone)]
 pub struct ResumeAnswer {
-    proof: Vec<u8>,
-    /// How many parcels of the hub the peer has read.
-    pub read: u64,
+    pub(crate) proof: Vec<u8>,
+    /// What the peer has read of the hub.
+    pub read: ReadCount,
 }
 
 impl Secret {
@@ -133,8 +134,7 @@ impl ResumeAnswer {
     /// # Errors
     /// `bad-content`.
     pub fn read(parcel: &Parcel) -> Result<ResumeAnswer, WireError> {
-        let (proof, read) = content::read_proof(parcel)?;
-        Ok(ResumeAnswer { proof, read })
+        content::read_proof(parcel)
     }
 }
 
@@ -153,7 +153,7 @@ mod tests {
         mac.update(&link_challenge(hub, &challenge.link, &challenge.nonce));
         ResumeAnswer {
             proof: mac.finalize().into_bytes().to_vec(),
-            read: 7,
+            read: ReadCount::new(),
         }
     }
 
@@ -201,6 +201,13 @@ mod tests {
                 Map::new().with("proof", proof()).with("read", 1).with("more", 1),
                 "content/more",
             ),
+            (
+                Map::new()
+                    .with("proof", proof())
+                    .with("read", 1)
+                    .with("checksum", 1_i64 << 32),
+                "content/checksum",
+            ),
         ] {
             let error = read(map).expect_err(slot);
             assert_eq!(
@@ -208,12 +215,11 @@ mod tests {
                 (&Code::BAD_CONTENT, Some(slot))
             );
         }
-        assert_eq!(
-            read(Map::new().with("proof", proof()).with("read", 1))
-                .expect("an answer")
-                .read,
-            1
-        );
+        for checksum in [None, Some(0), Some(u32::MAX)] {
+            let count = ReadCount { parcels: 1, checksum };
+            let answer = read(count.put(Map::new().with("proof", proof())));
+            assert_eq!(answer.expect("an answer").read, count);
+        }
         let long = "0".repeat(65);
         assert_eq!(challenge(&long).expect_err("too long").code, Code::BAD_CONTENT);
     }

@@ -13,11 +13,18 @@ const MOST_BYTES: usize = 64 * 1024;
 /// What a parcel needs, about, besides its content.
 const SLOTS: usize = 128;
 
+/// What stands in one place.
+#[derive(Debug)]
+pub(super) enum Place {
+    Frame(Frame),
+    /// One that is handled already: it is only counted when its turn comes, as [`checksum_word`] says.
+    Passed(Option<u32>),
+}
+
 /// Parcels in their order that were read while one before them waited.
 #[derive(Debug, Default)]
 pub(super) struct Behind {
-    /// None for those that have passed the others: they are only counted when their turn comes.
-    parcels: VecDeque<Option<Frame>>,
+    parcels: VecDeque<Place>,
     bytes: usize,
     /// What follows them is broken.
     fault: Option<NetError>,
@@ -41,7 +48,7 @@ impl Behind {
 
     pub(super) fn push(&mut self, frame: Frame) {
         self.bytes += size(&frame);
-        self.parcels.push_back(Some(frame));
+        self.parcels.push_back(Place::Frame(frame));
     }
 
     /// Nothing that follows can be read.
@@ -54,10 +61,12 @@ impl Behind {
         self.fault
     }
 
-    /// The next one; none of it if it has passed the others already.
-    pub(super) fn pop(&mut self) -> Option<Option<Frame>> {
+    /// The next one.
+    pub(super) fn pop(&mut self) -> Option<Place> {
         let next = self.parcels.pop_front()?;
-        self.bytes -= next.as_ref().map_or(0, size);
+        if let Place::Frame(frame) = &next {
+            self.bytes -= size(frame);
+        }
         Some(next)
     }
 
@@ -79,8 +88,8 @@ impl Behind {
     }
 
     /// Notes that a parcel behind all these has passed them.
-    pub(super) fn note_passed(&mut self) {
-        self.parcels.push_back(None);
+    pub(super) fn note_passed(&mut self, frame: &Frame) {
+        self.parcels.push_back(Place::Passed(checksum_word(frame)));
     }
 
     /// Takes out each `unstop` that a stop which passes takes back; gives their ids. `number` says which context is meant.
@@ -97,11 +106,13 @@ impl Behind {
                     && number(parcel) == context
                     && overlap(parcel, stop)
             };
-            if let Some(Frame::Parcel(parcel)) = place
+            if let Place::Frame(frame) = place
+                && let Frame::Parcel(parcel) = &*frame
                 && taken_back(parcel)
             {
                 withdrawn.push(parcel.id);
-                self.bytes -= place.take().as_ref().map_or(0, size);
+                self.bytes -= size(frame);
+                *place = Place::Passed(checksum_word(frame));
             }
         }
         withdrawn
@@ -110,8 +121,7 @@ impl Behind {
     fn holds(&self, what: impl Fn(&Parcel) -> bool) -> bool {
         self.parcels
             .iter()
-            .flatten()
-            .any(|frame| matches!(frame, Frame::Parcel(parcel) if what(parcel)))
+            .any(|place| matches!(place, Place::Frame(Frame::Parcel(parcel)) if what(parcel)))
     }
 }
 
@@ -119,6 +129,14 @@ impl Behind {
 pub(super) fn withdrawn() -> WireError {
     let text = "a stop was said after it, and before its turn came";
     WireError::new(Code::WITHDRAWN, text)
+}
+
+/// Its word in the checksum of a link; none of what nobody could read.
+pub(super) fn checksum_word(frame: &Frame) -> Option<u32> {
+    match frame {
+        Frame::Parcel(parcel) => Some(parcel.checksum_word()),
+        Frame::Malformed { .. } => None,
+    }
 }
 
 fn size(frame: &Frame) -> usize {
@@ -227,18 +245,26 @@ mod tests {
             Some(ContextNumber(u64::from(other)))
         };
         assert_eq!(behind.withdraw(&stop, number), [Some(1), Some(4)]);
-        behind.note_passed();
+        behind.note_passed(&frame(stop));
         assert!(behind.bytes() < before);
         let left: Vec<_> = std::iter::from_fn(|| behind.pop())
             .map(|next| match next {
-                Some(Frame::Parcel(parcel)) => parcel.id,
-                _ => None,
+                Place::Frame(Frame::Parcel(parcel)) => Ok(parcel.id),
+                Place::Frame(malformed) => panic!("{malformed:?}"),
+                Place::Passed(word) => Err(word),
             })
             .collect();
         assert_eq!(
             left,
-            [None, Some(2), Some(3), None, Some(5), None],
-            "each in its place"
+            [
+                Err(Some(1)),
+                Ok(Some(2)),
+                Ok(Some(3)),
+                Err(Some(4)),
+                Ok(Some(5)),
+                Err(Some(0))
+            ],
+            "each in its place, with its word"
         );
         assert_eq!(behind.bytes(), 0);
     }
@@ -247,7 +273,7 @@ mod tests {
     fn so_much_is_read_on_and_no_more() {
         let mut many = behind((0..MOST_PARCELS - 1).map(|_| said(Family::Time, "resent")));
         assert!(many.takes_more());
-        many.note_passed();
+        many.note_passed(&frame(said(Family::Message, "stop")));
         assert!(!many.takes_more(), "those that have passed count, too");
         let large = said(Family::Message, "block").content("x".repeat(MOST_BYTES));
         assert!(!behind([large]).takes_more());
@@ -260,7 +286,7 @@ mod tests {
         let mut behind = behind([said(Family::Message, "chat")]);
         behind.break_off(NetError::Wire(withdrawn()));
         assert!(!behind.takes_more());
-        assert!(matches!(behind.pop(), Some(Some(_))) && behind.pop().is_none());
+        assert!(matches!(behind.pop(), Some(Place::Frame(_))) && behind.pop().is_none());
         assert!(behind.fault().is_some());
     }
 }

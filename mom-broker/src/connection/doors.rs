@@ -214,8 +214,24 @@ impl Seat {
         Ok(())
     }
 
-    /// Whether its proof is being checked: then nobody else's arrival ends it. Few are checked at a time.
-    pub(super) fn set_proving(&self, proving: bool) {
+    /// Its proof is being checked: nobody else's arrival ends it meanwhile. Few are checked at a time.
+    ///
+    /// # Errors
+    /// If it was told to go already, and is not counted any more.
+    pub(super) fn prove(&self) -> Result<(), WireError> {
+        self.set_proving(true);
+        if self.was_evicted() {
+            return Err(evicted());
+        }
+        Ok(())
+    }
+
+    /// The proof was checked.
+    pub(super) fn proved(&self) {
+        self.set_proving(false);
+    }
+
+    fn set_proving(&self, proving: bool) {
         let mut state = self.doors.state.lock();
         let State {
             strangers,
@@ -274,7 +290,7 @@ impl Seat {
 
     /// Counts in the place of a peer that has come back over this connection.
     pub(super) fn take_over(&mut self, mut place: UserPlace) {
-        // Its proof was being checked, so nobody has told it to go.
+        // Its proof was being checked, so nobody has told it to go: it still counts.
         drop(self.doors.state.lock().remove(self.id));
         self.user = place.user.take();
     }
@@ -381,12 +397,30 @@ mod tests {
         );
         drop(fourth);
         let fifth = enter(&doors, 5);
-        fifth.0.set_proving(true);
+        fifth.0.prove().expect("here in time");
         assert!(doors.enter(address(6)).is_err(), "its proof is being checked");
-        fifth.0.set_proving(false);
+        fifth.0.proved();
         enter(&doors, 6);
         doors.close();
         assert!(doors.enter(address(7)).is_err());
+    }
+
+    /// What is counted down when it is told to go would be counted down again when it ends as the peer of a link.
+    #[test]
+    fn who_was_told_to_go_resumes_nothing() {
+        let doors = doors(3, 3, 3, 3);
+        let mut first = enter(&doors, 1);
+        first.0.log_in("alice").expect("let in");
+        let place = first.0.park().expect("a user");
+        let back = enter(&doors, 1);
+        let mut others: Vec<Guest> = [2, 3, 4].map(|from| enter(&doors, from)).into();
+        let error = back.0.prove().expect_err("it has to go");
+        assert_eq!(error.code, Code::TOO_MANY_CONNECTIONS);
+        drop(back);
+        others[0].0.prove().expect("here in time");
+        others[0].0.take_over(place);
+        drop(others);
+        assert_eq!(doors.counts(), (0, 0));
     }
 
     #[test]

@@ -8,7 +8,7 @@ use std::time::Duration;
 use mom_hub::PeerId;
 use mom_login::{ResumeAnswer, ResumeChallenge, Secret};
 use mom_net::SecretId;
-use mom_proto::{Map, Micros};
+use mom_proto::{Map, Micros, ReadCount};
 use parking_lot::Mutex;
 use tokio::sync::oneshot;
 
@@ -50,7 +50,7 @@ struct Claim {
 pub(super) struct Served {
     pub(super) link: Arc<PeerLink>,
     /// The parcels of the peer that were read whole and handled.
-    pub(super) read: u64,
+    pub(super) read: ReadCount,
     /// Those of them that the peer knows of, and when it was told, by the bytes that had come.
     pub(super) told: u64,
     pub(super) told_at: u64,
@@ -147,16 +147,21 @@ impl Served {
     pub(super) fn new(link: Arc<PeerLink>) -> Box<Served> {
         Box::new(Served {
             link,
-            read: 0,
+            read: ReadCount::new(),
             told: 0,
             told_at: 0,
             resending: false,
         })
     }
 
+    /// How many of them the peer does not know to be read.
+    pub(super) fn untold(&self) -> u64 {
+        self.read.parcels - self.told
+    }
+
     /// Notes what was handled; whether the peer has to be told, at so many bytes that have come.
     pub(super) fn is_due(&self, bytes: u64) -> bool {
-        self.read - self.told >= TELL_PARCELS
-            || (self.read > self.told && bytes.saturating_sub(self.told_at) >= TELL_BYTES)
+        self.untold() >= TELL_PARCELS
+            || (self.untold() > 0 && bytes.saturating_sub(self.told_at) >= TELL_BYTES)
     }
 }

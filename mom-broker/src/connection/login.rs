@@ -54,12 +54,16 @@ impl Connection {
         let claimed = self.claimed(parcel);
         // Whatever comes now, the last challenge is over.
         let asked = self.asked.take().map(|asked| *asked);
-        self.set_proving(true);
+        if let Some(seat) = &self.arrival.seat
+            && !self.logged_in
+        {
+            seat.prove()?;
+        }
         let answers = parcel.name() == Verb::Answer.word();
         let step = match asked {
             Some(Asked::Link(challenge, number)) if answers => {
                 let resumed = self.resume(reader, (&challenge, number), parcel).await;
-                self.set_proving(false);
+                self.proved();
                 return match resumed {
                     Ok(()) => Ok(Login::Became),
                     Err(error) => self.refuse_login(error, None, parcel.id, touched),
@@ -67,7 +71,7 @@ impl Connection {
             }
             _ if parcel.name() == Verb::Resume.word() => {
                 let asked = self.ask_for_proof(parcel, touched);
-                self.set_proving(false);
+                self.proved();
                 return match asked {
                     Ok(()) => Ok(Login::Goes),
                     Err(error) => self.refuse_login(error, None, parcel.id, touched),
@@ -90,13 +94,13 @@ impl Connection {
             Ok(LoginStep::Granted(granted)) => self.admit(reader, granted, parcel.id, touched),
             Err(error) => Err(error),
         };
-        self.set_proving(false);
+        self.proved();
         refused.or_else(|error| self.refuse_login(error, claimed, parcel.id, touched))
     }
 
-    fn set_proving(&self, proving: bool) {
+    fn proved(&self) {
         if let Some(seat) = &self.arrival.seat {
-            seat.set_proving(proving);
+            seat.proved();
         }
     }
 

@@ -15,6 +15,7 @@ mod serving;
 mod tests;
 mod waiting;
 
+use std::cell::Cell;
 use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -34,7 +35,7 @@ use crate::traffic::memory::{Charge, Gate, over_memory};
 use crate::traffic::outbox::Outbox;
 use crate::traffic::switchboard::{Handled, Touched, flush};
 
-use behind::Behind;
+use behind::{Behind, Place, checksum_word};
 use heartbeat::Unfinished;
 use links::Served;
 use measure::{Measure, Pings};
@@ -163,8 +164,8 @@ enum Came {
     Whole(Frame),
     /// A whole frame that is large, and not decoded.
     Large(Deferred),
-    /// Something that has passed what waited before it.
-    Passed,
+    /// Something that has passed what waited before it, with its word in the checksum of a link.
+    Passed(Option<u32>),
 }
 
 /// What a reader does after a frame.
@@ -266,17 +267,16 @@ impl Connection {
             if !goes_on {
                 break Ok(());
             }
-            let run = self.run(reader, &mut touched);
+            let is_run = self.run(reader, &mut touched);
             let mut counts = self.link.is_some();
-            if let Some(count) = run {
-                self.count_read(u64::from(count));
+            if is_run {
                 whole = true;
             } else {
                 let frame = match self.next(reader) {
                     Ok(None) => break Ok(()),
                     // It is handled, and was only to be counted in its turn.
-                    Ok(Some(Came::Passed)) => {
-                        self.count_read(1);
+                    Ok(Some(Came::Passed(word))) => {
+                        self.count_read(word);
                         continue;
                     }
                     Ok(Some(Came::Whole(frame))) => frame,
@@ -290,7 +290,13 @@ impl Connection {
                 };
                 let says = !is_sign_of_life(&frame);
                 (counts, whole) = (counts && says, whole || says);
+                let word = checksum_word(&frame);
                 let next = self.handle(frame, &mut touched);
+                // It is answered: if the connection is lost in the pause, it must not be answered again.
+                if counts && matches!(next, Next::Pause(_)) {
+                    self.count_read(word);
+                    counts = false;
+                }
                 // Apart, for it is rare and needs more memory than all the rest of a connection.
                 if !matches!(next, Next::Frame)
                     && let Err(end) = Box::pin(self.go_on(next, reader, &mut touched)).await
@@ -299,11 +305,11 @@ impl Connection {
                 }
                 // Not before all is done with it: what was not handled comes again after a loss.
                 if counts {
-                    self.count_read(1);
+                    self.count_read(word);
                 }
             }
             handled += 1;
-            let late = (run.is_some() || handled % LOOK == 0) && self.is_late();
+            let late = (is_run || handled % LOOK == 0) && self.is_late();
             if late || handled % FRAMES == 0 {
                 flush(&mut touched);
                 tokio::task::yield_now().await;
@@ -321,7 +327,10 @@ impl Connection {
     /// What comes next: first what has come behind a message that waited.
     fn next(&mut self, reader: &mut Reader) -> Result<Option<Came>, End> {
         if let Some(next) = self.arrival.behind.as_mut().and_then(|behind| behind.pop()) {
-            return Ok(Some(next.map_or(Came::Passed, Came::Whole)));
+            return Ok(Some(match next {
+                Place::Frame(frame) => Came::Whole(frame),
+                Place::Passed(word) => Came::Passed(word),
+            }));
         }
         if let Some(fault) = self.arrival.behind.take().and_then(|behind| behind.fault()) {
             return Err(self.failed(fault).into());
@@ -333,14 +342,25 @@ impl Connection {
         }
     }
 
-    /// Passes on plain messages that are alike; gives how many.
-    fn run(&self, reader: &mut Reader, touched: &mut Touched) -> Option<u32> {
+    /// Passes on plain messages that are alike, and counts them; false if nothing of that kind is here.
+    fn run(&mut self, reader: &mut Reader, touched: &mut Touched) -> bool {
         let clock = |now| self.peer_clock(now);
         let sender = self.sender(&clock);
         let runs =
             self.gate() == Gate::Open && self.logged_in && !sender.late && self.arrival.behind.is_none();
-        runs.then(|| self.services.board.run(&sender, reader, touched))
-            .flatten()
+        if !runs {
+            return false;
+        }
+        let read = self.link.as_ref().map(|served| Cell::new(served.read));
+        let sender = Sender {
+            read: read.as_ref(),
+            ..sender
+        };
+        let is_run = self.services.board.run(&sender, reader, touched);
+        if let Some((served, read)) = self.link.as_mut().zip(read) {
+            served.read = read.get();
+        }
+        is_run
     }
 
     /// As whom it sends.
@@ -349,13 +369,14 @@ impl Connection {
             peer: self.peer(),
             clock,
             late: self.link.as_ref().is_some_and(|served| served.resending),
+            read: None,
         }
     }
 
     /// Counts what was read and handled, where both sides count.
-    fn count_read(&mut self, parcels: u64) {
+    fn count_read(&mut self, word: Option<u32>) {
         if let Some(served) = &mut self.link {
-            served.read += parcels;
+            served.read.count(word);
         }
     }
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 use mom_hub::Input;
 use mom_login::{ResumeAnswer, ResumeChallenge};
 use mom_net::{BadCount, Reader, Rewound};
-use mom_proto::{Code, Family, Map, Parcel, Path, WireError};
+use mom_proto::{Code, Family, Map, Parcel, Path, ReadCount, WireError};
 use tokio::time::{Instant, timeout};
 
 use super::links::PeerLink;
@@ -54,7 +54,8 @@ impl Connection {
             ));
         };
         // An answer that was under way for long: its peer goes on elsewhere by now.
-        let claim = link.claim(number, answer.read).ok_or_else(old_answer)?;
+        let claim = link.claim(number, answer.read.parcels);
+        let claim = claim.ok_or_else(|| old_answer(link.outbox.acknowledged_count()))?;
         let parked = match timeout(PATIENCE, claim).await {
             Ok(Ok(parked)) => parked,
             // Another one has come after this one.
@@ -78,7 +79,7 @@ impl Connection {
             }
             Err(bad) if bad.read < bad.acknowledged => {
                 parked.wait();
-                return Err(old_answer());
+                return Err(old_answer(bad.acknowledged));
             }
             Err(bad) => {
                 let error = bad_count(bad);
@@ -95,9 +96,11 @@ impl Connection {
     async fn welcome_back(&mut self, parked: &Parked, dropped: u64, reference: Option<u64>) {
         let board = &self.services.board;
         let int = |count: u64| i64::try_from(count).unwrap_or(i64::MAX);
-        let content = Map::new()
-            .with("resumed", true)
-            .with("read", int(parked.served.read))
+        let content = Map::new().with("resumed", true);
+        let content = parked
+            .served
+            .read
+            .put(content)
             .with("dropped", int(dropped))
             .with("peer", &*parked.outbox().name())
             .with("limits", parked.services.limits.to_map())
@@ -132,7 +135,7 @@ impl Connection {
         if let (Some(seat), Some(place)) = (&mut self.arrival.seat, place) {
             seat.take_over(place);
         }
-        (served.told, served.told_at, served.resending) = (served.read, 0, true);
+        (served.told, served.told_at, served.resending) = (served.read.parcels, 0, true);
         self.services.limits = services.limits;
         (self.outbox, self.logged_in) = (outbox, true);
         (self.proven_until, self.requests, self.charge) = (proven_until, requests, charge);
@@ -176,8 +179,8 @@ impl Connection {
         if self.link.is_none() {
             return Ok(());
         }
-        let read = parcel.value().get("read").and_then(mom_proto::Value::as_int);
-        let read = read.and_then(|read| u64::try_from(read).ok()).ok_or_else(|| {
+        let value = parcel.value();
+        let read = value.as_map().and_then(ReadCount::of).ok_or_else(|| {
             let text = "time ack needs content {read}: how many parcels were read";
             WireError::new(Code::BAD_COUNT, text).slot("content/read")
         })?;
@@ -186,14 +189,13 @@ impl Connection {
 
     /// Tells the peer how much of what it has said was read, if it does not know.
     pub(super) fn tell_read(&mut self, received: u64, touched: &mut Touched) {
-        let Some(served) = self.link.as_mut().filter(|served| served.read > served.told) else {
+        let Some(served) = self.link.as_mut().filter(|served| served.untold() > 0) else {
             return;
         };
-        (served.told, served.told_at) = (served.read, received);
-        let read = i64::try_from(served.read).unwrap_or(i64::MAX);
+        (served.told, served.told_at) = (served.read.parcels, received);
         let ack = Parcel::new(Family::Time, "ack")
             .context(Path::root())
-            .content(Map::new().with("read", read));
+            .content(served.read.put(Map::new()));
         self.services.board.tell(self.peer(), ack, touched);
     }
 }
@@ -207,8 +209,9 @@ fn not_resumed(text: &str) -> WireError {
     WireError::new(Code::NOT_RESUMED, text).detail("resumed", false)
 }
 
-fn old_answer() -> WireError {
-    not_resumed("the link has been resumed, or more was read, since this answer was given")
+fn old_answer(acknowledged: u64) -> WireError {
+    let error = not_resumed("the link has been resumed, or more was read, since this answer was given");
+    error.detail("acknowledged", i64::try_from(acknowledged).unwrap_or(i64::MAX))
 }
 
 fn bad_count(bad: BadCount) -> WireError {
@@ -216,7 +219,14 @@ fn bad_count(bad: BadCount) -> WireError {
         read,
         sent,
         acknowledged,
+        differs,
     } = bad;
+    if differs {
+        let text = format!(
+            "checksum: of the {read} parcels that were read some are others than the first {read} that were sent; log in anew"
+        );
+        return WireError::new(Code::BAD_COUNT, text).slot("content/checksum");
+    }
     let text = format!("{read} parcels cannot have been read: {sent} were sent, {acknowledged} acknowledged");
     WireError::new(Code::BAD_COUNT, text).slot("content/read")
 }

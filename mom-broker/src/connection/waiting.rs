@@ -135,7 +135,7 @@ impl Connection {
     /// Handles at once what passes those that came before it. It takes no time.
     fn pass(&mut self, behind: &mut Behind, frame: Frame, touched: &mut Touched) -> Result<(), End> {
         if !is_sign_of_life(&frame) {
-            behind.note_passed();
+            behind.note_passed(&frame);
         }
         let board = &self.services.board;
         let withdraws = match &frame {

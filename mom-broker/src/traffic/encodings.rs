@@ -46,6 +46,8 @@ pub(crate) struct Encodings {
     packed: OtherForm,
     local: Option<Arc<Parcel>>,
     replay: Option<Arc<Replay>>,
+    /// Its word in the checksum of a link.
+    checksum_word: u32,
 }
 
 /// A parcel in another form than it came in.
@@ -122,7 +124,10 @@ impl Encoder {
         parcel: Parcel,
         forms: impl Iterator<Item = Option<Form>>,
     ) -> Result<Encodings, WireError> {
-        let mut encodings = Encodings::default();
+        let mut encodings = Encodings {
+            checksum_word: parcel.checksum_word(),
+            ..Encodings::default()
+        };
         let mut local = false;
         let is_packed = matches!(parcel.content, Some(Content::Packed(_)));
         for form in forms {
@@ -192,7 +197,10 @@ impl Encodings {
         parcel: Parcel,
         forms: impl Iterator<Item = Option<Form>>,
     ) -> Result<Encodings, WireError> {
-        let mut encodings = Encodings::default();
+        let mut encodings = Encodings {
+            checksum_word: parcel.checksum_word(),
+            ..Encodings::default()
+        };
         let mut local = false;
         for form in forms {
             let form = match form {
@@ -220,6 +228,7 @@ impl Encodings {
     /// Frames of the binary form that are encoded already.
     pub(crate) fn of_run(frames: Encoded) -> Encodings {
         Encodings {
+            checksum_word: binary::checksum_word(&frames.head),
             binary: Some(frames),
             ..Encodings::default()
         }
@@ -247,6 +256,11 @@ impl Encodings {
             replay: Some(Arc::new(replay)),
             ..Encodings::default()
         }
+    }
+
+    /// [`Parcel::checksum_word`] of it, or of the first of a run.
+    pub(crate) fn checksum_word(&self) -> u32 {
+        self.checksum_word
     }
 
     fn other(&self, form: Form) -> &OtherForm {

@@ -12,7 +12,7 @@ use mom_cases::{Case, Dialect, Item, Replay, replay};
 use mom_net::{Allowance, Piece};
 use mom_proto::binary::{BinaryDecoder, PREFACE};
 use mom_proto::codec::{Form, Frame};
-use mom_proto::{Code, Delivery, Family, Limits, Map, Parcel, Path, Time, Value};
+use mom_proto::{Code, Delivery, Family, Limits, Map, Parcel, Path, ReadCount, Time, Value};
 use tokio::sync::oneshot;
 
 use super::{Capacity, Entry};
@@ -55,7 +55,7 @@ fn no_command_waits_for_room_over_a_loss() {
         assert!(talker.shared.suspend(), "it has a link");
         assert!(said.as_mut().poll(&mut look).is_pending(), "it still is");
         let resumption = Resumption {
-            read: 0,
+            read: ReadCount::new(),
             dropped: 0,
             content: Map::new(),
         };
@@ -346,7 +346,10 @@ impl Replay for Talker {
 
     fn resume(&mut self, read: u64) {
         let resumption = Resumption {
-            read,
+            read: ReadCount {
+                parcels: read,
+                checksum: None,
+            },
             dropped: 0,
             content: Map::new(),
         };
@@ -430,4 +433,26 @@ fn word(error: &ClientError) -> String {
         panic!("{text}")
     };
     word.to_owned()
+}
+
+/// A hub that has counted other parcels than this peer has sent is not gone on with: something would come twice, or never.
+#[test]
+fn a_hub_that_has_read_other_parcels_is_no_hub_to_go_on_with() {
+    let item = Item::reliable("a");
+    // All that it has sent has the id 1.
+    for (word, goes_on) in [(1, true), (2, false)] {
+        let mut talker = Talker::new(&Case::default());
+        let parcel = Parcel::new(Family::Message, "note").context(path("/chat"));
+        talker.say(parcel, &item);
+        assert_eq!(talker.take().as_deref(), Some("a"));
+        let mut read = ReadCount::new();
+        read.count(Some(word));
+        talker.lose();
+        let resumption = Resumption {
+            read,
+            dropped: 0,
+            content: Map::new(),
+        };
+        assert_eq!(talker.shared.go_on(&resumption), goes_on);
+    }
 }

@@ -66,6 +66,8 @@ pub(crate) struct Entry {
     delivery: Delivery,
     outgoing: Outgoing,
     pub(crate) id: Option<u64>,
+    /// [`Parcel::checksum_word`] of it.
+    checksum_word: u32,
     context: Option<Path>,
     /// Kept of what may replace or withdraw another message.
     destination: Option<Box<Destination>>,
@@ -144,6 +146,7 @@ impl Entry {
             delivery: Delivery::Reliable,
             outgoing,
             id: parcel.id,
+            checksum_word: parcel.checksum_word(),
             context: parcel.context.clone(),
             destination: None,
             expires_at: None,
@@ -169,6 +172,7 @@ impl Entry {
             delivery,
             outgoing: message.outgoing,
             id: parcel.id,
+            checksum_word: parcel.checksum_word(),
             context: parcel.context.clone(),
             destination: named.then(|| Box::new(Destination::of(parcel))),
             // A device must halt also if its operator's clock is wrong.
@@ -236,6 +240,10 @@ impl Item for Entry {
 
     fn is_awaited(&self) -> bool {
         self.awaited
+    }
+
+    fn checksum_word(&self) -> u32 {
+        self.checksum_word
     }
 
     fn counts(&self) -> bool {

@@ -11,7 +11,7 @@ use mom_net::{
     SendQueue,
 };
 use mom_proto::codec::Form;
-use mom_proto::{Limit, Parcel, Verb};
+use mom_proto::{Limit, Parcel, ReadCount, Verb};
 
 pub(crate) use entry::{Capacity, Entry, Follows, Message};
 
@@ -137,7 +137,7 @@ impl Outbox {
     }
 
     /// Takes in how many parcels the hub has read.
-    pub(crate) fn acknowledge(&self, ledger: &mut Ledger<Entry>, read: u64) -> Result<(), BadCount> {
+    pub(crate) fn acknowledge(&self, ledger: &mut Ledger<Entry>, read: ReadCount) -> Result<(), BadCount> {
         self.queue.acknowledge(ledger, read)
     }
 
@@ -153,7 +153,7 @@ impl Outbox {
     pub(crate) fn resend(
         &mut self,
         ledger: &mut Ledger<Entry>,
-        read: u64,
+        read: ReadCount,
         (end, outgoing): (&Parcel, Outgoing),
     ) -> Result<(Rewound, Dropped), BadCount> {
         let end = Entry::control(end, outgoing, Follows::Nothing);

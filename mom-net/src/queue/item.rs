@@ -66,6 +66,9 @@ pub trait Item: Debug {
         1
     }
 
+    /// What stands for it in the checksum of a link: [`Parcel::checksum_word`]. Not asked of those of several parcels.
+    fn checksum_word(&self) -> u32;
+
     /// Whether its sender waits for the answer: its loss is told by itself, whatever its class.
     fn is_awaited(&self) -> bool {
         false

@@ -3,12 +3,15 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use mom_proto::Delivery;
 use mom_proto::binary;
 use mom_proto::codec::Form;
+use mom_proto::{Checksum, Delivery, ReadCount};
 
 use super::piece::{Entry, Progress};
 use super::{Item, Lane, Piece};
+
+/// The words of so many parcels are kept at most for the checksum of a link: of what is before them it is not checked.
+const MOST_WORDS: usize = 1 << 18;
 
 /// What has left over a link and was not acknowledged.
 #[derive(Debug)]
@@ -19,6 +22,9 @@ pub struct Ledger<I> {
     acknowledged: u64,
     /// Those of the others that must not be lost, in their order.
     kept: VecDeque<Kept<I>>,
+    /// What stands in the checksum for each parcel that has left since the one that `checksum` ends with.
+    words: VecDeque<u32>,
+    checksum: Checksum,
     bytes: usize,
     /// The most bytes that are kept.
     limit: usize,
@@ -42,7 +48,7 @@ pub(super) struct Kept<I> {
     size: usize,
 }
 
-/// A count that cannot be: of more than was sent, or of less than was acknowledged before.
+/// A count that cannot be: of more than was sent, of less than was acknowledged before, or of other parcels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BadCount {
     /// What the other side says that it has read.
@@ -51,6 +57,8 @@ pub struct BadCount {
     pub sent: u64,
     /// What was acknowledged before.
     pub acknowledged: u64,
+    /// So many were read, but they were not the first ones that have left: one side has counted wrongly.
+    pub differs: bool,
 }
 
 /// What a resumed connection does not send again.
@@ -69,6 +77,8 @@ impl<I: Item> Ledger<I> {
             sent: 0,
             acknowledged: 0,
             kept: VecDeque::new(),
+            words: VecDeque::new(),
+            checksum: Checksum::default(),
             bytes: 0,
             limit,
             forgotten: 0,
@@ -148,6 +158,7 @@ impl<I: Item> Ledger<I> {
             return;
         }
         self.sent += count;
+        self.note_words(item, offset, count, form);
         if is_sent_once(&**item) && !item.is_awaited() {
             return;
         }
@@ -182,13 +193,51 @@ impl<I: Item> Ledger<I> {
         }
     }
 
+    fn note_words(&mut self, item: &Arc<I>, offset: usize, count: u64, form: Option<Form>) {
+        if item.count() == 1 {
+            self.words.push_back(item.checksum_word());
+        } else {
+            let frames = item.frames(form).map_or(&[][..], |frames| &frames.head);
+            let mut run = frames.get(offset..).unwrap_or_default();
+            for _ in 0..count {
+                self.words.push_back(binary::checksum_word(run));
+                run = &run[binary::first(run, 1)..];
+            }
+        }
+        while self.words.len() > MOST_WORDS {
+            self.pass_word();
+        }
+    }
+
+    /// Goes on with the checksum by one parcel.
+    fn pass_word(&mut self) {
+        if let Some(word) = self.words.pop_front() {
+            self.checksum = self.checksum.with(word);
+        }
+    }
+
+    /// Whether the other side has read other parcels than the first ones that have left.
+    fn differs(&mut self, read: ReadCount) -> bool {
+        let unread = to_usize(self.sent - read.parcels);
+        // What is said of too long ago cannot be checked.
+        let is_known = unread <= self.words.len();
+        while self.words.len() > unread {
+            self.pass_word();
+        }
+        is_known && read.checksum.is_some_and(|told| told != self.checksum.value())
+    }
+
     /// Takes in how many parcels the other side has read.
-    pub(super) fn acknowledge(&mut self, read: u64, form: Option<Form>) -> Result<(), BadCount> {
-        if read > self.sent || read < self.acknowledged {
+    pub(super) fn acknowledge(&mut self, count: ReadCount, form: Option<Form>) -> Result<(), BadCount> {
+        let read = count.parcels;
+        let is_possible = read <= self.sent && read >= self.acknowledged;
+        let differs = is_possible && self.differs(count);
+        if !is_possible || differs {
             return Err(BadCount {
                 read,
                 sent: self.sent,
                 acknowledged: self.acknowledged,
+                differs,
             });
         }
         self.acknowledged = read;
@@ -211,6 +260,9 @@ impl<I: Item> Ledger<I> {
         // What was kept in a burst is not kept for ever.
         if self.kept.is_empty() {
             self.kept = VecDeque::new();
+        }
+        if self.words.is_empty() {
+            self.words = VecDeque::new();
         }
         Ok(())
     }
@@ -235,16 +287,18 @@ impl<I: Item> Ledger<I> {
     /// A count that cannot be.
     pub(super) fn rewind(
         &mut self,
-        read: u64,
+        count: ReadCount,
         form: Option<Form>,
     ) -> Result<(Rewound, VecDeque<Kept<I>>), BadCount> {
-        self.acknowledge(read, form)?;
+        self.acknowledge(count, form)?;
+        let read = count.parcels;
         if self.forgotten > read {
             return Ok((Rewound::Lost(self.forgotten - read), VecDeque::new()));
         }
         let again: u64 = self.kept.iter().map(|kept| kept.count).sum();
         let dropped = self.sent - read - again;
         self.sent = read;
+        self.words.clear();
         self.skips = false;
         self.part = 0;
         self.bytes = 0;

@@ -3,6 +3,7 @@
 use std::cmp::Reverse;
 use std::sync::Arc;
 
+use mom_proto::ReadCount;
 use mom_proto::codec::Form;
 
 use super::again::AGAIN;
@@ -44,7 +45,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
     ///
     /// # Errors
     /// A count that cannot be.
-    pub fn acknowledge(&self, ledger: &mut Ledger<I>, read: u64) -> Result<(), BadCount> {
+    pub fn acknowledge(&self, ledger: &mut Ledger<I>, read: ReadCount) -> Result<(), BadCount> {
         if let Some(begun) = &self.begun {
             ledger.note_part(begun, self.form);
         }
@@ -68,7 +69,7 @@ impl<I: Item, P: DropPolicy<I>> SendQueue<I, P> {
     pub fn resend(
         &mut self,
         ledger: &mut Ledger<I>,
-        read: u64,
+        read: ReadCount,
         end: Option<Arc<I>>,
     ) -> Result<Rewound, BadCount> {
         self.acknowledge(ledger, read)?;

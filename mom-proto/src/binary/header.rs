@@ -15,7 +15,7 @@ use crate::{
 
 pub(super) const CONTEXT_NUMBER: u32 = 0;
 pub(super) const NAME: u32 = 1;
-const SENDER: u32 = 2;
+pub(super) const SENDER: u32 = 2;
 pub(super) const TIMESTAMP: u32 = 3;
 pub(super) const ID: u32 = 4;
 pub(super) const CONTENT: u32 = 5;

@@ -49,7 +49,7 @@ use bytes::Bytes;
 
 pub use chunks::{ChunkHead, STREAMS, chunks};
 pub use decoder::BinaryDecoder;
-pub use plain::{ParcelRun, Plain, cut, first, whole};
+pub use plain::{ParcelRun, Plain, checksum_word, cut, first, whole};
 pub use words::WORDS;
 
 use crate::codec::{Encoded, Scratch};

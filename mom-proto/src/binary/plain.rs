@@ -6,10 +6,12 @@
 use bytes::Bytes;
 
 use super::KIND_PARCEL;
-use super::header::{CONTENT, CONTEXT_NUMBER, DELIVERY, ECHO, ID, NAME, PRIORITY, TIMESTAMP, presence};
+use super::header::{
+    CONTENT, CONTEXT_NUMBER, DELIVERY, ECHO, ID, NAME, PRIORITY, SENDER, TIMESTAMP, presence,
+};
 use super::wire::{put_name, put_varint, put_zigzag};
 use crate::codec::Encoded;
-use crate::{ContextNumber, MAX_ID, Parcel, Time};
+use crate::{ContextNumber, MAX_ID, Parcel, Time, checksum};
 
 /// The slots that a plain message may have.
 const ALLOWED: u64 = bits(&[
@@ -121,6 +123,15 @@ impl<'a> Plain<'a> {
     pub fn timestamp(&self) -> Option<Time> {
         let bytes = self.timestamp.first_chunk::<8>()?;
         Time::from_micros(i64::from_be_bytes(*bytes))
+    }
+
+    /// What stands for it in a [`Checksum`](crate::Checksum).
+    pub fn checksum_word(&self) -> u32 {
+        let mut id = Rest {
+            bytes: self.id,
+            at: 0,
+        };
+        checksum::word(id.varint())
     }
 
     /// The frame up to its content, to be decoded.
@@ -291,6 +302,27 @@ pub fn whole(run: &[u8], most: usize) -> (usize, u32) {
     (at, count)
 }
 
+/// What stands for the first frame of a run in a [`Checksum`](crate::Checksum).
+pub fn checksum_word(run: &[u8]) -> u32 {
+    let mut rest = Rest { bytes: run, at: 5 };
+    let mut id = || {
+        let bits = rest.varint()?;
+        let has = |bit: u32| bits & (1 << bit) != 0;
+        if has(CONTEXT_NUMBER) {
+            rest.varint()?;
+        }
+        for _ in (NAME..=SENDER).filter(|bit| has(*bit)) {
+            let name = rest.varint()?;
+            if name & 1 == 0 {
+                rest.skip(usize::try_from(name >> 1).ok()?)?;
+            }
+        }
+        rest.skip(if has(TIMESTAMP) { 8 } else { 0 })?;
+        has(ID).then(|| rest.varint()).flatten()
+    };
+    checksum::word(id())
+}
+
 /// The length of so many frames of a run from its beginning.
 pub fn first(run: &[u8], count: u64) -> usize {
     let mut at = 0;
@@ -389,13 +421,14 @@ mod tests {
             let (mut decoder, mut greeting) = decoder();
             decoder.decode(&mut greeting).unwrap();
             let mut rest = &input[..];
-            let mut run = None;
+            let (mut run, mut words) = (None, Vec::new());
             while let Some(plain) = decoder.plain(rest) {
                 let mut stamped = decoder.head(&plain).expect("plain messages are decoded");
                 stamp(&mut stamped, guarded);
                 let run = run.get_or_insert_with(|| ParcelRun::begin(&plain, &stamped, 0));
                 prop_assert!(run.takes(&plain));
                 run.push(&plain, -5);
+                words.push(plain.checksum_word());
                 rest.advance(plain.length());
             }
             prop_assert!(rest.is_empty(), "all of them are plain");
@@ -403,6 +436,12 @@ mod tests {
             prop_assert_eq!(run.count() as usize, messages.len());
             let frames = run.finish().to_vec();
             prop_assert_eq!(decode(&frames), decode(&expected));
+            let said: Vec<u32> = messages.iter().map(Parcel::checksum_word).collect();
+            let left: Vec<u32> = (0..said.len() as u64)
+                .map(|place| checksum_word(&frames[first(&frames, place)..]))
+                .collect();
+            prop_assert_eq!(left, &said[..]);
+            prop_assert_eq!(words, said);
             prop_assert_eq!(frames, expected);
         }
 

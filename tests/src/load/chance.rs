@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use fastrand::Rng;
-use mom_proto::{Family, Parcel, Value};
+use mom_proto::{Family, Parcel, ReadCount, Value};
 
 /// The most bytes of anything: what a parcel may have.
 pub(super) const MOST: usize = 8 << 20;
@@ -64,7 +64,7 @@ pub(super) struct Link {
     pub(super) id: String,
     pub(super) secret: Vec<u8>,
     /// Parcels of the hub that it has read.
-    pub(super) read: u64,
+    pub(super) read: ReadCount,
 }
 
 /// What the load has heard of the hub: some of what it says is true for that, and some was once.

@@ -1,7 +1,7 @@
 //! How peers of the load prove who they are, and come back.
 
 use hmac::{Hmac, Mac};
-use mom_proto::{Family, Map, Parcel, Value, ZSTD, link_challenge};
+use mom_proto::{Family, Map, Parcel, ReadCount, Value, ZSTD, link_challenge};
 use sha2::Sha256;
 
 use super::Mind;
@@ -92,7 +92,11 @@ impl Peer {
             .and_then(|link| link.get("secret")?.as_binary());
         if let (Some(id), Some(secret)) = (text, secret) {
             let (id, secret) = (id.to_owned(), secret.to_vec());
-            self.link = Some(Link { id, secret, read: 0 });
+            self.link = Some(Link {
+                id,
+                secret,
+                read: ReadCount::new(),
+            });
         }
         true
     }
@@ -119,16 +123,16 @@ impl Peer {
         match mind.rng.u8(..12) {
             0 => nonce = older.unwrap_or_default(),
             1 => link.secret = vec![0; 32],
-            2 => link.read += mind.rng.u64(1..1000),
-            3 => link.read = mind.rng.u64(0..=link.read),
+            2 => link.read.parcels += mind.rng.u64(1..1000),
+            3 => link.read.parcels = mind.rng.u64(0..=link.read.parcels),
+            4 => link.read.checksum = mind.rng.bool().then(|| mind.rng.u32(..)),
             _ => {}
         }
         let hub = challenge.get("hub").and_then(Value::as_str).unwrap_or("mom");
         let mut mac = Hmac::<Sha256>::new_from_slice(&link.secret).expect("any key will do");
         mac.update(&link_challenge(hub, &link.id, &nonce));
         let proof = Value::Binary(mac.finalize().into_bytes().to_vec().into());
-        let read = i64::try_from(link.read).unwrap_or(i64::MAX);
-        let answer = Map::new().with("proof", proof).with("read", read);
+        let answer = link.read.put(Map::new().with("proof", proof));
         let Some(reply) = self.ask(mind, "answer", answer).await else {
             return false;
         };

@@ -257,8 +257,8 @@ impl Peer {
             Err(error) if self.is_back && error.code == Code::BAD_FRAME => return Some(None),
             Err(error) => panic!("the hub says to {self:?}: {error}"),
         };
-        if let Some(link) = &mut self.link {
-            link.read += u64::from(parcel.family != Family::Time);
+        if let Some(link) = self.link.as_mut().filter(|_| parcel.family != Family::Time) {
+            link.read.count(Some(parcel.checksum_word()));
         }
         mind.known.hear(&parcel);
         Some(Some(parcel))

@@ -7,6 +7,7 @@ use mom_broker::{Broker, Clock, Config};
 use mom_client::{Builder, Client, Event, Key, LinkState, Proof};
 use mom_proto::codec::Form;
 use mom_proto::{Family, Map, Time, Value};
+use mom_tests::faulty::{Fault, FaultyNetwork};
 use mom_tests::lab;
 use mom_tests::login::{DeviceKey, Issuer, challenge, claims, log_in, password, token};
 use mom_tests::programs::{PATIENCE, Running, project, run, text};
@@ -222,6 +223,52 @@ async fn the_client_renews_a_token() {
         }
         clock.advance(Duration::from_secs(1000 - 120));
     }
+}
+
+/// A token that has expired while the connection was lost is asked for anew; nobody who gives one is an attempt that failed.
+#[tokio::test]
+async fn a_token_is_asked_for_at_each_login() {
+    let issuer = std::sync::Arc::new(Issuer::number(1));
+    let clock = clock();
+    let trusted = issuer.config();
+    let broker = lab::start_at(clock.clone(), |config| config.login.jwt = Some(trusted)).await;
+    let network = FaultyNetwork::to(broker.local_addr(), |_| Fault::default()).await;
+    let asked = std::sync::Arc::new(std::sync::atomic::AtomicI64::new(0));
+    let ask = {
+        let (issuer, asked) = (std::sync::Arc::clone(&issuer), std::sync::Arc::clone(&asked));
+        move || {
+            let (issuer, asked) = (std::sync::Arc::clone(&issuer), std::sync::Arc::clone(&asked));
+            async move {
+                match asked.fetch_add(1, std::sync::atomic::Ordering::Relaxed) {
+                    0 | 2 => Err("the issuer is away"),
+                    1 => Ok(issuer.sign(&claims("bob", BEGIN + 60))),
+                    _ => Ok(issuer.sign(&claims("bob", BEGIN + 1060))),
+                }
+            }
+        }
+    };
+    let builder = || Client::builder(format!("bin://{}", network.address));
+    let error = builder().token_from(ask.clone()).connect().await;
+    let error = error.expect_err("no token").to_string();
+    assert!(error.contains("the issuer is away"), "{error}");
+    let client = builder().token_from(ask).connect().await.expect("bob's token");
+    let mut state = client.state();
+    clock.advance(Duration::from_secs(59));
+    network.sever();
+    clock.advance(Duration::from_secs(100));
+    let back = async {
+        state
+            .wait_for(|link| !matches!(link, LinkState::Connected))
+            .await
+            .expect("a state");
+        let back = state.wait_for(|link| matches!(link, LinkState::Connected | LinkState::Closed(_)));
+        back.await.expect("a state").clone()
+    };
+    let back = timeout(PATIENCE, back).await.expect("in time");
+    assert!(matches!(back, LinkState::Connected), "{back:?}");
+    assert_eq!(asked.load(std::sync::atomic::Ordering::Relaxed), 4);
+    client.lookup("/chat").await.expect("bob again");
+    broker.stop().await;
 }
 
 /// From a key to a running device, as the help of `mom keygen` says it.

@@ -1,5 +1,6 @@
 //! The one way into a channel: admit, charge, encode once for each form, put into the outboxes.
 
+use std::cell::Cell;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
@@ -10,7 +11,8 @@ use mom_net::Lane;
 use mom_net::Reader;
 use mom_proto::binary::{ParcelRun, Plain};
 use mom_proto::{
-    Code, Content, ContextNumber, Delivery, Fence, Map, Micros, Overflow, Parcel, WireError, outlives_loss,
+    Code, Content, ContextNumber, Delivery, Fence, Map, Micros, Overflow, Parcel, ReadCount, WireError,
+    outlives_loss,
 };
 use mom_system::Clock;
 
@@ -38,6 +40,18 @@ pub(crate) struct Sender<'a> {
     pub(crate) clock: &'a dyn Fn(Micros) -> Option<PeerClock>,
     /// What it says now was said before it lost its connection.
     pub(crate) late: bool,
+    /// Counts the messages of a run, where both ends count.
+    pub(crate) read: Option<&'a Cell<ReadCount>>,
+}
+
+impl Sender<'_> {
+    fn count(&self, plain: &Plain<'_>) {
+        if let Some(read) = self.read {
+            let mut count = read.get();
+            count.count(Some(plain.checksum_word()));
+            read.set(count);
+        }
+    }
 }
 
 /// What is to be sent.
@@ -65,8 +79,6 @@ pub(crate) enum Outcome {
 /// A message, or a run of them, that is in the outboxes of its receivers.
 pub(crate) struct Sent {
     pub(crate) delivered: Delivered,
-    /// How many messages it is.
-    pub(crate) count: u32,
     pub(crate) route: Arc<Route>,
     /// The reference of the receipt that was asked for.
     pub(crate) receipt: Option<Option<u64>>,
@@ -211,7 +223,7 @@ impl State {
         let receipt = (admitted.parcel.receipt == Some(true)).then_some(admitted.parcel.id);
         let (message, reference) = (Arc::clone(&admitted.parcel.name), admitted.parcel.id);
         match self.try_deliver(sender, admitted) {
-            Ok(delivered) => self.sent(delivered, 1, receipt, reference),
+            Ok(delivered) => self.sent(delivered, receipt, reference),
             Err(why) => self.unsent(why, message, reference),
         }
     }
@@ -319,6 +331,7 @@ impl State {
                 break;
             }
             run.push(&plain, age);
+            sender.count(&plain);
             self.statistics.sent(position, size, first.age_error.map(|_| age));
             reader.consume(length);
         }
@@ -343,7 +356,7 @@ impl State {
             outlives_loss: outlives_loss(&first, first.fence.is_some()),
         });
         let delivered = self.put(&packet, &self.positions(&receivers), ingress.now);
-        self.sent(delivered, count, None, None)
+        self.sent(delivered, None, None)
     }
 
     /// Whether plain messages may go through here as a run: nobody needs another form or only some of them, nothing is
@@ -375,17 +388,10 @@ impl State {
         }
     }
 
-    fn sent(
-        &self,
-        delivered: Delivered,
-        count: u32,
-        receipt: Option<Option<u64>>,
-        reference: Option<u64>,
-    ) -> Outcome {
+    fn sent(&self, delivered: Delivered, receipt: Option<Option<u64>>, reference: Option<u64>) -> Outcome {
         let route = Arc::clone(&self.route);
         Outcome::Sent(Sent {
             delivered,
-            count,
             route,
             receipt,
             reference,

@@ -4,7 +4,7 @@ use std::sync::{Arc, Weak};
 
 use mom_net::{BadCount, Flow, Ledger, Rewound, Writer};
 use mom_proto::codec::Form;
-use mom_proto::{ContextNumber, Path};
+use mom_proto::{ContextNumber, Path, ReadCount};
 use mom_system::sync::atomic::Ordering;
 
 use super::{Outbox, Packet, place_of};
@@ -85,7 +85,7 @@ impl Outbox {
     ///
     /// # Errors
     /// A count that cannot be.
-    pub(crate) fn acknowledge(&self, read: u64) -> Result<(), BadCount> {
+    pub(crate) fn acknowledge(&self, read: ReadCount) -> Result<(), BadCount> {
         let mut way = self.way();
         match &mut way.link {
             Some(link) => self.queue.lock().acknowledge(&mut link.ledger, read),
@@ -113,7 +113,7 @@ impl Outbox {
     /// A count that cannot be.
     pub(crate) fn resend(
         &self,
-        read: u64,
+        read: ReadCount,
         writer: &Writer,
         paths: Weak<dyn Paths>,
     ) -> Result<Rewound, BadCount> {

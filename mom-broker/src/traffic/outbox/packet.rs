@@ -219,6 +219,10 @@ impl Item for Packet {
         self.count
     }
 
+    fn checksum_word(&self) -> u32 {
+        self.encodings.checksum_word()
+    }
+
     fn counts(&self) -> bool {
         self.counts
     }

@@ -53,16 +53,15 @@ impl Switchboard {
     }
 
     /// Sends the plain messages that lie in front of a reader, as long as they are alike, and takes them from it.
-    /// Gives how many. None if there are none, or if what lies there needs [`Switchboard::message`]; nothing is taken then.
-    pub(crate) fn run(&self, sender: &Sender<'_>, reader: &mut Reader, touched: &mut Touched) -> Option<u32> {
+    /// False if there are none, or if what lies there needs [`Switchboard::message`]; nothing is taken then.
+    pub(crate) fn run(&self, sender: &Sender<'_>, reader: &mut Reader, touched: &mut Touched) -> bool {
         let channel = run_ahead(reader).and_then(|number| self.channel(number));
         let outcome = channel.map(|channel| channel.send(sender, Message::Run(reader), &self.clock));
         let Some(Outcome::Sent(sent)) = outcome else {
-            return None;
+            return false;
         };
-        let count = sent.count;
         self.settle(sender.peer, sent, touched);
-        Some(count)
+        true
     }
 
     /// Says something in the hub's own name to all members of a channel, and to those who come later; false if there is no such
@@ -98,6 +97,7 @@ impl Switchboard {
             peer: from,
             clock: &|_| None,
             late: false,
+            read: None,
         };
         match channel.send(&sender, message, &self.clock) {
             Outcome::Sent(sent) => self.settle(from, sent, touched),

@@ -310,9 +310,10 @@ impl World {
             peer: self.peers[0].id,
             clock: &clock,
             late: false,
+            read: None,
         };
         loop {
-            if self.runs && self.board.run(&sender, &mut self.heard, &mut touched).is_some() {
+            if self.runs && self.board.run(&sender, &mut self.heard, &mut touched) {
                 self.made += 1;
                 continue;
             }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use bytes::{Bytes, BytesMut};
 use mom_proto::binary::{BinaryDecoder, PREFACE};
 use mom_proto::codec::{Encoded, Form, Frame};
-use mom_proto::{Delivery, Family, Limits, Parcel, Value};
+use mom_proto::{Checksum, Delivery, Family, Limits, Parcel, ReadCount, Value};
 use proptest::prelude::*;
 
 use super::super::{BadCount, DropReason, Lane, Ledger, Rewound};
@@ -23,6 +23,8 @@ struct Link {
     /// The numbers of what has arrived.
     arrived: Vec<i64>,
     read: u64,
+    /// The checksum after each number of them.
+    checksums: Vec<Checksum>,
     /// What the network has taken does not arrive for now.
     stands: bool,
 }
@@ -45,6 +47,7 @@ impl Link {
             decoder,
             arrived: Vec::new(),
             read: 0,
+            checksums: vec![Checksum::default()],
             stands: false,
         };
         link.push(message(0, 0, 10, Delivery::Reliable));
@@ -54,9 +57,23 @@ impl Link {
             (0, 1),
             "the reply to the login does not count"
         );
-        link.read = 0;
-        link.arrived.clear();
+        link.forget();
         link
+    }
+
+    /// What has arrived so far does not count.
+    fn forget(&mut self) {
+        (self.read, self.checksums) = (0, vec![Checksum::default()]);
+        self.arrived.clear();
+    }
+
+    /// What this end says after so many parcels.
+    fn count(&self, parcels: u64) -> ReadCount {
+        let checksum = self.checksums.get(usize::try_from(parcels).expect("a small one"));
+        ReadCount {
+            parcels,
+            checksum: checksum.map(|checksum| checksum.value()),
+        }
     }
 
     fn push(&mut self, packet: Packet) {
@@ -101,15 +118,20 @@ impl Link {
             let Frame::Parcel(parcel) = frame else {
                 panic!("{frame:?}")
             };
+            let checksum = self.checksums[usize::try_from(self.read).expect("a small one")];
             self.read += 1;
+            self.checksums
+                .truncate(usize::try_from(self.read).expect("a small one"));
+            self.checksums.push(checksum.with(parcel.checksum_word()));
             self.arrived
                 .push(i64::try_from(parcel.id.expect("a number")).expect("a small one"));
         }
     }
 
     fn acknowledge(&mut self) {
+        let read = self.count(self.read);
         self.queue
-            .acknowledge(&mut self.ledger, self.read)
+            .acknowledge(&mut self.ledger, read)
             .expect("a count that can be");
     }
 
@@ -118,7 +140,8 @@ impl Link {
         (self.read, self.arrived) = (read, Vec::new());
         drop(self.queue.restart(&mut self.ledger));
         (self.decoder, self.bytes) = decoder();
-        let rewound = self.queue.resend(&mut self.ledger, read, end);
+        let count = self.count(read);
+        let rewound = self.queue.resend(&mut self.ledger, count, end);
         assert_eq!(rewound, Ok(Rewound::Dropped(0)));
     }
 
@@ -126,9 +149,10 @@ impl Link {
     fn lose(&mut self) -> Rewound {
         drop(self.queue.restart(&mut self.ledger));
         (self.decoder, self.bytes) = decoder();
+        let read = self.count(self.read);
         let rewound = self
             .queue
-            .resend(&mut self.ledger, self.read, None)
+            .resend(&mut self.ledger, read, None)
             .expect("a count that can be");
         assert_eq!(self.ledger.sent(), self.read);
         rewound
@@ -280,6 +304,8 @@ fn a_stop_before_the_reply_to_a_login_is_not_counted() {
     link.push(message(4, 0, 10, Delivery::Reliable));
     link.write(usize::MAX, 4096);
     assert_eq!((&link.arrived[..], link.ledger.sent()), (&[2, 1, 3, 4][..], 2));
+    let first = Checksum::default().with(3);
+    link.checksums = vec![Checksum::default(), first, first.with(4)];
     link.resume_at(1, None);
     link.write(usize::MAX, 4096);
     assert_eq!(link.arrived, [4]);
@@ -306,9 +332,10 @@ fn what_must_be_kept_and_was_not_is_told() {
     link.write(usize::MAX, 4096);
     link.read = read;
     drop(link.queue.restart(&mut link.ledger));
+    let count = link.count(read);
     let rewound = link
         .queue
-        .resend(&mut link.ledger, read, None)
+        .resend(&mut link.ledger, count, None)
         .expect("a count that can be");
     assert_eq!(rewound, Rewound::Lost(6), "six of ten do not fit");
 }
@@ -325,12 +352,81 @@ fn counts_that_cannot_be_are_refused() {
         read,
         sent: 10,
         acknowledged: 10,
+        differs: false,
     };
     for read in [9, 11] {
-        assert_eq!(link.queue.acknowledge(&mut link.ledger, read), Err(bad(read)));
-        let resent = link.queue.resend(&mut link.ledger, read, None);
+        let count = link.count(read);
+        assert_eq!(link.queue.acknowledge(&mut link.ledger, count), Err(bad(read)));
+        let resent = link.queue.resend(&mut link.ledger, count, None);
         assert_eq!(resent, Err(bad(read)));
     }
+}
+
+/// One end counts what the other does not: the next acknowledgement or resume finds it, wherever that was.
+#[test]
+fn a_count_of_other_parcels_is_refused() {
+    for shifted in 1..=10 {
+        let mut link = Link::new(usize::MAX);
+        for number in 1..=10 {
+            let push = match number % 3 {
+                0 => message(number, 0, 10, Delivery::Fleeting),
+                _ => message(number, 0, 10, Delivery::Reliable),
+            };
+            link.push(push);
+            link.write(usize::MAX, 4096);
+            if number == 5 && shifted > 5 {
+                link.acknowledge();
+            }
+        }
+        link.push(run(20, 5, 10));
+        link.write(usize::MAX, 4096);
+        let words = link
+            .arrived
+            .iter()
+            .map(|number| u32::try_from(*number).expect("a small one"));
+        let (mut parcels, mut checksum) = (0, Checksum::default());
+        for word in words.filter(|word| *word != shifted) {
+            (parcels, checksum) = (parcels + 1, checksum.with(word));
+        }
+        let checksum = Some(checksum.value());
+        let bad = link
+            .queue
+            .acknowledge(&mut link.ledger, ReadCount { parcels, checksum });
+        assert!(
+            bad.is_err_and(|bad| bad.differs),
+            "the {shifted}th was not counted"
+        );
+        let resent = link
+            .queue
+            .resend(&mut link.ledger, ReadCount { parcels, checksum }, None);
+        assert!(
+            resent.is_err_and(|bad| bad.differs),
+            "the {shifted}th was not counted"
+        );
+    }
+}
+
+/// Who never acknowledges costs no more than this; what is older is not checked.
+#[test]
+fn so_many_parcels_are_checked_at_most() {
+    let mut link = Link::new(usize::MAX);
+    for first in 0..70 {
+        link.push(run(first * 4000 + 1, 4000, 10));
+        link.write(usize::MAX, 1 << 20);
+    }
+    assert_eq!(link.read, 280_000);
+    let wrong = |parcels| ReadCount {
+        parcels,
+        checksum: Some(7),
+    };
+    let ledger = &mut link.ledger;
+    assert_eq!(
+        link.queue.acknowledge(ledger, wrong(280_000 - (1 << 18) - 1)),
+        Ok(())
+    );
+    let bad = link.queue.acknowledge(ledger, wrong(280_000 - (1 << 18)));
+    assert!(bad.is_err_and(|bad| bad.differs));
+    link.acknowledge();
 }
 
 #[test]
@@ -349,8 +445,7 @@ fn what_does_not_outlive_the_loss_is_not_sent_again() {
     link.push(message(1, 0, 10, Delivery::Reliable));
     link.push(commands(2));
     link.write(usize::MAX, 4096);
-    link.read = 0;
-    link.arrived.clear();
+    link.forget();
     link.push(commands(7));
     link.push(message(12, 0, 10, Delivery::Reliable));
     assert_eq!(link.lose(), Rewound::Dropped(5));

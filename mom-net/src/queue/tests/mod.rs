@@ -70,6 +70,10 @@ impl Item for Packet {
         self.count
     }
 
+    fn checksum_word(&self) -> u32 {
+        mom_proto::binary::checksum_word(&self.frames.head)
+    }
+
     fn counts(&self) -> bool {
         &*self.origin.name != "resent"
     }

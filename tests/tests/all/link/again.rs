@@ -1,13 +1,14 @@
 //! What a link goes on with, and who may go on with it.
 
 use mom_proto::codec::Form;
-use mom_proto::{Code, Family, Parcel};
-use mom_tests::linked::Link;
+use mom_proto::{Code, Family, Limit, Parcel, ReadCount, Value, WireError};
+use mom_tests::lab;
+use mom_tests::linked::{Link, Linked};
 use mom_tests::programs::PATIENCE;
 use mom_tests::raw::{Raw, at};
 use tokio::time::timeout;
 
-use super::{chat, chatting, lose, numbered, resent, resume, texts};
+use super::{GRACE, chat, chatting, int, lose, numbered, resent, resume, texts};
 
 /// Messages and events that were not read, and an event that is new, come in another form, the events in their order.
 #[tokio::test]
@@ -60,13 +61,14 @@ async fn a_late_answer_to_an_older_challenge_takes_nothing_over() {
     bob.send_parcel(&chat("here")).await;
     assert_eq!(texts(&mut alice, 1).await, ["here"]);
     // Nor does one that has read less than was acknowledged, and it ends nothing.
+    let before = link.read;
     alice.acknowledge().await;
     alice.raw.send_parcel(&resent()).await;
     alice.raw.send_parcel(&chat("and here")).await;
     bob.next_of(Family::Message, "say").await;
     let link = alice.link.clone();
     let older = Link {
-        read: link.read - 1,
+        read: before,
         ..link.clone()
     };
     let (error, _) = older
@@ -79,5 +81,69 @@ async fn a_late_answer_to_an_older_challenge_takes_nothing_over() {
     let (mut alice, _) = resume(&lose(alice), address, Form::Binary).await;
     bob.send_parcel(&chat("again")).await;
     assert_eq!(texts(&mut alice, 1).await, ["again"]);
+    broker.stop().await;
+}
+
+/// A peer that has counted other parcels than the hub is told so before anything comes twice, and its link ends.
+#[tokio::test]
+async fn a_count_of_other_parcels_ends_the_link() {
+    for form in [Form::Binary, Form::Json, Form::Xml] {
+        for resumes in [false, true] {
+            let (broker, mut alice, mut bob) = chatting(form).await;
+            for text in numbered(0..5) {
+                bob.send_parcel(&chat(&text)).await;
+            }
+            let before = alice.link.read;
+            texts(&mut alice, 5).await;
+            // What it has counted of the five is right, but for the first, which it has not.
+            let mut shifted = ReadCount {
+                parcels: before.parcels,
+                ..alice.link.read
+            };
+            shifted.parcels += 4;
+            let error = if resumes {
+                let link = Link {
+                    read: shifted,
+                    ..lose(alice)
+                };
+                let refused = link.resume(broker.local_addr(), form).await;
+                refused.expect_err("other parcels").0
+            } else {
+                let right = std::mem::replace(&mut alice.link.read, shifted);
+                alice.acknowledge().await;
+                alice.link.read = right;
+                alice.raw.next_error().await
+            };
+            assert_eq!(error.code, Code::BAD_COUNT, "{form:?} {resumes}");
+            let slot = |error: &WireError| error.get("slot").and_then(Value::as_str).map(str::to_owned);
+            assert_eq!(slot(&error).as_deref(), Some("content/checksum"));
+            bob.next_of(Family::Event, "left").await;
+            broker.stop().await;
+        }
+    }
+}
+
+/// Who asks too much is not read for a moment after an answer. A connection that is lost then has read what was answered.
+#[tokio::test]
+async fn a_request_that_was_refused_is_not_answered_again_after_a_loss() {
+    let broker = lab::start_with(|config| config.limits.requests = Limit::At(1)).await;
+    let address = broker.local_addr();
+    let mut alice = Linked::login(address, Form::Binary, "alice", GRACE).await;
+    for _ in 0..200 {
+        let info = Parcel::new(Family::Context, "info").context(at("/chat"));
+        alice.raw.post(info).await;
+    }
+    let mut answered = 0;
+    while answered < 30 {
+        let parcel = alice.next().await.expect("it goes on");
+        answered += i64::from(parcel.reference.is_some() && parcel.family != Family::Time);
+    }
+    let reply = lose(alice).resume(address, Form::Binary).await;
+    let (_, reply) = reply.unwrap_or_else(|(error, _)| panic!("{error}"));
+    let read = int(&reply, "read");
+    assert!(
+        read >= answered,
+        "{answered} were answered, and {read} are said to be read"
+    );
     broker.stop().await;
 }

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use mom_broker::Broker;
 use mom_proto::codec::Form;
-use mom_proto::{Code, Family, Map, Parcel, Value};
+use mom_proto::{Code, Family, Map, Parcel, ReadCount, Value};
 use mom_tests::audit::AuditLog;
 use mom_tests::lab;
 use mom_tests::linked::{Link, Linked};
@@ -471,7 +471,7 @@ async fn counts_that_cannot_be_end_the_link() {
     let read = alice.link.read;
     alice
         .raw
-        .send_parcel(&ack(i64::try_from(read).expect("a few")))
+        .send_parcel(&ack(i64::try_from(read.parcels).expect("a few")))
         .await;
     alice.raw.send_parcel(&ack(0)).await;
     assert_eq!(
@@ -482,7 +482,10 @@ async fn counts_that_cannot_be_end_the_link() {
     let mut alice = Linked::login(address, Form::Json, "alice", GRACE).await;
     alice.about(Family::Context, "join", "/chat").await;
     let link = Link {
-        read: 99,
+        read: ReadCount {
+            parcels: 99,
+            checksum: None,
+        },
         ..lose(alice)
     };
     let (error, mut raw) = link.resume(address, Form::Json).await.expect_err("never said");

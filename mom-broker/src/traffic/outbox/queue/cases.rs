@@ -9,7 +9,7 @@ use mom_cases::{Case, Dialect, Item, Replay, replay};
 use mom_hub::PeerId;
 use mom_net::{Allowance, Ledger, Piece, Taken};
 use mom_proto::codec::{Encoded, Form};
-use mom_proto::{ContextNumber, Delivery, Family, HUB, Parcel, Time, outlives_loss};
+use mom_proto::{ContextNumber, Delivery, Family, HUB, Parcel, ReadCount, Time, outlives_loss};
 use mom_system::Clock;
 use mom_system::sync::atomic::AtomicU64;
 
@@ -193,6 +193,10 @@ impl Replay for Receiver {
     }
 
     fn resume(&mut self, read: u64) {
+        let read = ReadCount {
+            parcels: read,
+            checksum: None,
+        };
         self.queue
             .resend(&mut self.ledger, read)
             .expect("a count that can be");

@@ -13,7 +13,7 @@ use mom_net::{
     Allowance, BadCount, DropPolicy, DropReason, Lane, Ledger, Piece, Rest, Rewound, SendQueue, Taken,
 };
 use mom_proto::codec::Form;
-use mom_proto::{Limits, Micros};
+use mom_proto::{Limits, Micros, ReadCount};
 
 use mom_system::Clock;
 
@@ -156,12 +156,16 @@ impl PeerQueue {
     }
 
     /// Puts what the peer has not read in front of what waits, but what does not outlive the loss.
-    pub(crate) fn resend(&mut self, ledger: &mut Ledger<Packet>, read: u64) -> Result<Rewound, BadCount> {
+    pub(crate) fn resend(
+        &mut self,
+        ledger: &mut Ledger<Packet>,
+        read: ReadCount,
+    ) -> Result<Rewound, BadCount> {
         self.queue.resend(ledger, read, None)
     }
 
     /// Takes in how many parcels the peer has read.
-    pub(crate) fn acknowledge(&self, ledger: &mut Ledger<Packet>, read: u64) -> Result<(), BadCount> {
+    pub(crate) fn acknowledge(&self, ledger: &mut Ledger<Packet>, read: ReadCount) -> Result<(), BadCount> {
         self.queue.acknowledge(ledger, read)
     }
 
