@@ -17,7 +17,7 @@ function stamp(): Plugin {
 
 /** A hub to try the page with while it is changed: `MOM_HUB=http://127.0.0.1:7666 npm run dev`. */
 const hub = process.env["MOM_HUB"] ?? "http://127.0.0.1:7666";
-const proxy = Object.fromEntries(["/mom", "/tunnel", "/api"].map((path) => [path, { target: hub, ws: path === "/mom", headers: { origin: hub } }]));
+const proxy = Object.fromEntries(["/mom", "/tunnel", "/api", "/log"].map((path) => [path, { target: hub, ws: path === "/mom", headers: { origin: hub } }]));
 
 export default defineConfig({
   // Pages of others load these files from wherever the hub is.

@@ -80,7 +80,7 @@ async function shootFleet(lab) {
   const file = fileURLToPath(new URL("../../config/formation.txt", import.meta.url));
   const driving = spawn(process.env.MOM_BIN, ["fleet", "run", file], { env, stdio: "ignore" });
   const over = new Promise((resolve) => driving.once("exit", resolve));
-  await fleet.getByRole("button", { name: /driving$/ }).waitFor();
+  await fleet.getByRole("button", { name: /^[1-9]\d* driving$/ }).waitFor();
   await shoot("fleet", opened, 1280, 1000, "light");
   await over;
   for (const unit of [1, 2]) await fleet.getByRole("checkbox", { name: `Select robot ${unit}`, exact: true }).click();
@@ -101,8 +101,12 @@ async function shootCubo(lab) {
   const driving = spawn(process.env.MOM_BIN, ["fleet", "send", "1", square], { env, stdio: "ignore" });
   await opened.locator("mom-token").getByText("alice holds it").waitFor();
   await opened.waitForTimeout(8000);
+  // On a busy machine it may have been lost meanwhile.
+  await opened.locator("mom-simulacrum").getByText("session up").first().waitFor();
   await shoot("simulacrum", opened, 1280, 1100, "light");
-  await shoot("modeller-dark", opened, 1280, 1000, "dark", "#/modeller");
+  await opened.evaluate(() => (location.hash = "#/modeller"));
+  await opened.getByRole("button", { name: "Example: CUBO" }).click();
+  await shoot("modeller-dark", opened, 1280, 1000, "dark");
   driving.kill();
 }
 
@@ -124,7 +128,7 @@ async function shootLab() {
   await token(bob).getByRole("button", { name: "Ask the owner" }).first().click();
   await token(bob).getByLabel("Why (optional)").fill("the red block is mine");
   await token(bob).getByRole("button", { name: "Ask", exact: true }).click();
-  const news = alice.locator("mom-console .news");
+  const news = alice.locator("mom-console .strip .news");
   await news.getByText("asks for /robot/token").waitFor();
   await news.locator('button:not([aria-disabled="true"])', { hasText: "Decline" }).waitFor();
   await write("refused-and-asked", [refused, await news.screenshot()], 1400);

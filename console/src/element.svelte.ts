@@ -52,7 +52,7 @@ export function define(tag: string, panel: Component<PanelProps>, css: string, a
         queueMicrotask(() => {
           if (this.#mounted || !this.isConnected) return;
           const hub = hubOf(connectionOf(this));
-          this.#mounted = mount(panel, { target: root, props: { host: this, hub, attributes: this.#attributes } });
+          this.#mounted = mount(panel, { target: root, props: { host: this, hub, attributes: this.#attributes }, context: new Map([["hub", hub]]) });
         });
       }
 

@@ -70,7 +70,7 @@ async function startPreview(port, headers) {
   const policy = headers.get("content-security-policy");
   let own;
   const asHub = (passed, asked) => asked.headers.origin === own && passed.setHeader("origin", hub);
-  const proxy = Object.fromEntries(["/mom", "/tunnel", "/api"].map((path) => [path, { target: hub, ws: path === "/mom", configure: (server) => server.on("proxyReq", asHub).on("proxyReqWs", asHub) }]));
+  const proxy = Object.fromEntries(["/mom", "/tunnel", "/api", "/log"].map((path) => [path, { target: hub, ws: path === "/mom", configure: (server) => server.on("proxyReq", asHub).on("proxyReqWs", asHub) }]));
   const build = {
     name: "build-of-dist",
     configurePreviewServer({ middlewares }) {

@@ -1,10 +1,12 @@
 // Attempts to reach the hub, over whichever door opens.
 import { type Door, doorsOf, isPrivate, shown } from "./address.js";
 import { MomError, disconnected, local } from "./error.js";
+import type { Said } from "./ledger.js";
 import { type Link, type NextId, type Resumed, type Welcome, credentials, logIn, resume, sign } from "./login.js";
 import type { ConnectOptions, Proof } from "./options.js";
 import type { Parcel } from "./parcel.js";
 import type { WebSocketClass } from "./pipe.js";
+import { reportFailure } from "./report.js";
 import type { Fields } from "./value.js";
 import { type Wire, connectWire } from "./wire.js";
 
@@ -36,12 +38,15 @@ export class Connector {
   readonly #ended = new AbortController();
   /** A WebSocket has opened and come to nothing, so a tunnel that has worked has its turn. */
   #tunnelFirst = false;
+  /** Who reports the first failure, as long as no attempt has come to its end. */
+  #reporter: ConnectOptions["report"];
 
   constructor(
     readonly address: string,
     private options: ConnectOptions,
     readonly nextId: NextId,
   ) {
+    this.#reporter = options.report;
     options.signal?.addEventListener("abort", () => this.end(), { once: true });
     if (options.signal?.aborted) this.end();
   }
@@ -93,7 +98,7 @@ export class Connector {
   }
 
   /** One attempt, within its time: a link is resumed; if it cannot be, it is lost and a login follows. */
-  connect(link: Link | null, read: number, notResumed: () => void): Promise<Connected> {
+  connect(link: Link | null, read: Said, notResumed: () => void): Promise<Connected> {
     return this.#attempt(this.#doors(), async (wire) => {
       const secret = isSecret(this.options);
       if (secret && !isPrivate(wire.pipe.door)) throw local("insecure", "others could read this door");
@@ -108,7 +113,7 @@ export class Connector {
   }
 
   /** Goes on with a link over a WebSocket, if one opens and carries an answer; `read` is asked for last. Null if the hub does not. */
-  move(link: Link, read: () => Promise<number>): Promise<Connected | null> {
+  move(link: Link, read: () => Promise<Said>): Promise<Connected | null> {
     return this.#attempt(this.#better(), async (wire) => {
       wire.post({ family: "time", name: "ping", id: this.nextId() });
       while ((await wire.next()).name !== "pong");
@@ -134,6 +139,8 @@ export class Connector {
       return await enter(wire);
     } catch (error) {
       wire?.drop();
+      if (this.#reporter && !this.#ended.signal.aborted) reportFailure(this.address, error, this.#reporter);
+      this.#reporter = undefined;
       this.#tunnelFirst = wire?.pipe.door.kind === "websocket" && (error as MomError).kind === "connection";
       throw wire && stop.reason === late ? late : error;
     } finally {
@@ -142,7 +149,7 @@ export class Connector {
     }
   }
 
-  #resume(wire: Wire, link: Link, read: number | (() => Promise<number>)): Promise<Resumed | null> {
+  #resume(wire: Wire, link: Link, read: Said | (() => Promise<Said>)): Promise<Resumed | null> {
     for (const [number, path] of this.numbers) wire.numbers.set(number, path);
     return resume(wire, link, read, this.nextId);
   }
@@ -152,7 +159,7 @@ export class Connector {
     const { wire } = connected;
     wire.numbers = this.#keep(wire.numbers);
     worked.set(this.address, shown(wire.pipe.door));
-    this.#tunnelFirst = false;
+    [this.#tunnelFirst, this.#reporter] = [false, undefined];
     return connected;
   }
 

@@ -1,7 +1,7 @@
 // The end of a peer whose page is gone.
 import { doorsOf } from "./address.js";
 import { MomError } from "./error.js";
-import { resume } from "./login.js";
+import { resumeToEnd } from "./login.js";
 import type { ConnectOptions } from "./options.js";
 import type { WebSocketClass } from "./pipe.js";
 import { connectWire } from "./wire.js";
@@ -31,8 +31,8 @@ export async function endPeer(address: string, credential: LinkCredential, optio
     try {
       let id = 0;
       const nextId = (): number => ++id;
-      // What it has read does not matter any more; a hub that has forgotten so much ends it for that.
-      const resumed = await resume(wire, { ...credential, grace: 0 }, 0, nextId);
+      // A hub that has not kept what it had not read ends it for that.
+      const resumed = await resumeToEnd(wire, credential, nextId);
       if (resumed) {
         wire.post({ family: "time", name: "resent" });
         const logout = nextId();

@@ -14,6 +14,7 @@ export { Device, type Machine } from "./obey.js";
 export { Consult } from "./consult.js";
 export { Key } from "./key.js";
 export { MomError, type ErrorKind } from "./error.js";
+export { report, type Report } from "./report.js";
 export { Double, Time, fieldsOf, type Fields, type Value } from "./value.js";
 export type { ConnectOptions, LinkState, Proof } from "./options.js";
 export type { ContextInfo, ContextKind, Event, Events, GrabbedEvent, Member, MessageEvent, ReleasedEvent } from "./events.js";

@@ -1,6 +1,7 @@
 // From a connection to a peer.
 import { utf8 } from "./bytes.js";
 import { MomError, local } from "./error.js";
+import { type Said, saidOf } from "./ledger.js";
 import type { ConnectOptions } from "./options.js";
 import type { Parcel } from "./parcel.js";
 import { hmac, join } from "./sha256.js";
@@ -16,6 +17,8 @@ export interface Link {
   id: string;
   secret: Uint8Array;
   grace: number;
+  /** Whether the hub takes a checksum of what was read: those before 1.3 refuse it. */
+  checks: boolean;
 }
 
 /** What the hub said at login. */
@@ -106,19 +109,36 @@ export async function sign({ key, user = "", hubName }: ConnectOptions, reply: P
 
 /** What the hub says to a resume. */
 export interface Resumed {
-  /** How many parcels of this side it has read. */
-  read: number;
+  /** What of this side it has read. */
+  said: Said;
   content: Fields;
 }
 
-/** Resumes a link; null if the hub does not, and a login may follow. How much was read may be asked for when it is to be said. */
-export async function resume(wire: Wire, link: Link, read: number | (() => Promise<number>), nextId: NextId): Promise<Resumed | null> {
+async function prove(wire: Wire, link: Link, read: Said | (() => Promise<Said>), nextId: NextId): Promise<Resumed | null> {
+  const { hub, nonce } = challenge(await ask(wire, nextId, "resume", { link: link.id }), LINK);
+  const proof = hmac(link.secret, join(utf8(LINK), ZERO, utf8(hub), ZERO, utf8(link.id), ZERO, nonce));
+  const said = typeof read === "function" ? await read() : read;
+  const content = fieldsOf((await ask(wire, nextId, "answer", { proof, ...(link.checks ? said : { read: said.read }) })).content);
+  return content["resumed"] === true ? { said: saidOf(content), content } : null;
+}
+
+/** Resumes a link of which nobody knows any more what was read, only to end it. */
+export async function resumeToEnd(wire: Wire, { id, secret }: Pick<Link, "id" | "secret">, nextId: NextId): Promise<Resumed | null> {
+  const link = { id, secret, grace: 0, checks: false };
+  const having = (read: number): Promise<Resumed | null> => prove(wire, link, { read }, nextId);
   try {
-    const { hub, nonce } = challenge(await ask(wire, nextId, "resume", { link: link.id }), LINK);
-    const proof = hmac(link.secret, join(utf8(LINK), ZERO, utf8(hub), ZERO, utf8(link.id), ZERO, nonce));
-    const said = typeof read === "number" ? read : await read();
-    const content = fieldsOf((await ask(wire, nextId, "answer", { proof, read: said })).content);
-    return content["resumed"] === true ? { read: int(content, "read") ?? -1, content } : null;
+    return await having(0);
+  } catch (error) {
+    const acknowledged = error instanceof MomError ? int(error.content, "acknowledged") : undefined;
+    if (acknowledged === undefined) throw error;
+    return having(acknowledged);
+  }
+}
+
+/** Resumes a link; null if the hub does not, and a login may follow. How much was read may be asked for when it is to be said. */
+export async function resume(wire: Wire, link: Link, read: Said | (() => Promise<Said>), nextId: NextId): Promise<Resumed | null> {
+  try {
+    return await prove(wire, link, read, nextId);
   } catch (error) {
     // Others than `not-resumed` are those of a hub that knows no links, or not this one: a login says more.
     if (error instanceof MomError && error.kind === "refused" && error.number < 300) return null;
@@ -135,7 +155,8 @@ export function welcome(content: Fields): Welcome {
 function linkOf(content: Fields): Link | null {
   const link = fieldsOf(content["link"]);
   const [id, secret, grace] = [text(link, "id"), link["secret"], int(link, "grace")];
-  return id !== undefined && secret instanceof Uint8Array && grace !== undefined ? { id, secret, grace } : null;
+  const checks = (int(fieldsOf(content["protocol"]), "minor") ?? 0) >= 3;
+  return id !== undefined && secret instanceof Uint8Array && grace !== undefined ? { id, secret, grace, checks } : null;
 }
 
 function limitsOf(content: Fields): Welcome["limits"] {

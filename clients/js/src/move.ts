@@ -1,5 +1,6 @@
 // From the tunnel back to a WebSocket.
 import { local } from "./error.js";
+import type { Said } from "./ledger.js";
 import type { Link } from "./login.js";
 import type { Peer } from "./peer.js";
 import type { Wire } from "./wire.js";
@@ -48,12 +49,12 @@ export class Mover {
       peer.endServing(why);
       peer.wire = null;
     };
-    const leave = async (): Promise<number> => {
+    const leave = async (): Promise<Said> => {
       await this.#settle(old, link);
       left = true;
       late = setTimeout(giveUp, LONGEST_HOLD, "the hub did not say whether the link has moved");
       old.leave();
-      return peer.ledger.read;
+      return peer.ledger.said;
     };
     try {
       const found = await peer.connector.move(link, leave);

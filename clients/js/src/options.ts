@@ -52,6 +52,11 @@ export interface ConnectOptions extends Proof {
   reconnect?: boolean;
   /** The most events that wait for one subscriber; 4096, which is more than one read of the network brings. */
   eventBuffer?: number;
+  /**
+   * Reports to the hub, once, without a login and maybe in the clear, why the first attempt to connect fails, if the connection is at fault; under this
+   * name and version of a program. Off unless it is given. {@link report} reports other errors.
+   */
+  report?: { program: string; version?: string };
   /** Called with each state of the link, also before the first connection. */
   onState?: (state: LinkState) => void;
   /** Gives up connecting, or closes the client. */

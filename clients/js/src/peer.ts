@@ -7,8 +7,8 @@ import { type Event, type Events, type MessageEvent, Subscribers, eventOf } from
 import { Guards, type Hold } from "./guards.js";
 import { installed } from "./installation.js";
 import { stopStateOf } from "./latch.js";
-import { Ledger } from "./ledger.js";
-import { type Link, type Welcome, check } from "./login.js";
+import { Ledger, saidOf } from "./ledger.js";
+import { type Link, type Resumed, type Welcome, check } from "./login.js";
 import type { ConnectOptions, LinkState } from "./options.js";
 import { type Entry, Outbox } from "./outbox.js";
 import type { Parcel } from "./parcel.js";
@@ -134,10 +134,10 @@ export class Peer {
       }
       try {
         const link = this.link;
-        const { wire, resumed, welcome } = await this.connector.connect(link, this.ledger.read, () => this.#lose(lost ?? disconnected("the link was not resumed")));
+        const { wire, resumed, welcome } = await this.connector.connect(link, this.ledger.said, () => this.#lose(lost ?? disconnected("the link was not resumed")));
         // Its time may be over meanwhile.
         if (resumed && link !== this.link) wire.drop();
-        else if (resumed) return this.#resumed(wire, resumed.read, resumed.content);
+        else if (resumed) return this.#resumed(wire, resumed);
         else if (welcome) return this.#welcomed(wire, welcome, lost !== undefined);
       } catch (thrown) {
         // What gives tokens has failed. Where it has worked before it may do so again.
@@ -153,12 +153,12 @@ export class Peer {
   }
 
   /** The link goes on where it was. */
-  #resumed(wire: Wire, read: number, content: Fields): () => Promise<string> {
+  #resumed(wire: Wire, { said, content }: Resumed): () => Promise<string> {
     clearTimeout(this.#graceOver);
-    const unread = this.ledger.resumed(read);
+    const unread = this.ledger.resumed(said);
     if (!unread) {
       wire.drop();
-      throw new MomError("refused", "bad-count", `the hub has read ${read} parcels, more than were sent`, 408);
+      throw new MomError("refused", "bad-count", `the hub has read ${said.read} parcels, and not the first ones that were sent`, 408);
     }
     this.outbox.back(unread, { family: "time", name: "resent" });
     const count = int(content, "dropped") ?? 0;
@@ -191,7 +191,7 @@ export class Peer {
   /** The link goes on over another connection than the one that is served. */
   moveTo({ wire, resumed }: Connected): void {
     this.outbox.lose(true);
-    this.#moved = this.#resumed(wire, resumed!.read, resumed!.content);
+    this.#moved = this.#resumed(wire, resumed!);
     this.endServing("moved");
   }
 
@@ -257,8 +257,8 @@ export class Peer {
 
   /** Says how much was read. */
   #tell(): void {
-    const read = this.link ? this.ledger.tell() : null;
-    if (read !== null) this.wire?.post({ family: "time", name: "ack", content: { read } });
+    const said = this.link ? this.ledger.tell() : null;
+    if (said) this.wire?.post({ family: "time", name: "ack", content: { ...said } });
   }
 
   /** Everything that belonged to the old link is lost. */
@@ -331,7 +331,7 @@ export class Peer {
     this.#heard = now;
     if (this.state.state === "stale") this.#state({ state: "connected", door: shown(this.wire!.pipe.door), resumed: false });
     if (parcel?.family === "time") return this.#time(parcel);
-    if (this.link && this.ledger.heard(size)) this.#tell();
+    if (this.link && this.ledger.heard(size, parcel)) this.#tell();
     if (!parcel?.name) return;
     parcel.size = size;
     if (parcel.family === "reply" || parcel.family === "error") this.#answer(parcel);
@@ -345,7 +345,7 @@ export class Peer {
       this.pending.answer(parcel);
       this.clock.answered(parcel.reference, fields["received"], fields["sent"]);
     } else if (parcel.name === "ack" && this.link) {
-      if (!this.ledger.acknowledged(int(fields, "read") ?? -1)) {
+      if (!this.ledger.acknowledged(saidOf(fields))) {
         this.link = null;
         return this.endServing("the hub acknowledges what was not sent");
       }

@@ -6,9 +6,9 @@ import { gzipSync } from "node:zlib";
 
 const here = (path) => new URL(path, import.meta.url);
 
-test("the bundle has 26 KiB gzipped at most", () => {
+test("the bundle has 27 KiB gzipped at most", () => {
   const bytes = gzipSync(readFileSync(here("../dist/mom-client.js")), { level: 9 }).length;
-  assert.ok(bytes <= 26 * 1024, `${bytes} bytes: find out what it is by \`npx esbuild src/index.ts --bundle --minify --format=esm --analyze\``);
+  assert.ok(bytes <= 27 * 1024, `${bytes} bytes: find out what it is by \`npx esbuild src/index.ts --bundle --minify --format=esm --analyze\``);
 });
 
 test("the bundle imports nothing, and its types are there", () => {

@@ -84,7 +84,7 @@ class Connection {
       return this.socket.close();
     }
     const dropped = link.resume(this, parcel.content.read);
-    this.reply(parcel, { resumed: true, read: link.read, peer: "alice", user: "alice", level: 1, dropped });
+    this.reply(parcel, { resumed: true, read: link.read, peer: "alice", user: "alice", level: 1, dropped, ...(this.hub.checksum === undefined ? {} : { checksum: this.hub.checksum }) });
     this.link = link;
     link.again();
   }
@@ -156,6 +156,8 @@ export class FakeHub {
   refuses = false;
   forgets = false;
   miscounts = false;
+  /** What a resume is told that was read, if not the truth. */
+  checksum = undefined;
   deaf = false;
   acknowledges = true;
   heartbeat = 10_000;

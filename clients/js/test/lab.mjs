@@ -8,7 +8,7 @@ import { fileURLToPath } from "node:url";
 import { WebSocket } from "ws";
 
 const project = fileURLToPath(new URL("../../..", import.meta.url));
-const program = process.env.MOM_BROKER ?? join(project, "target/debug/mom-broker");
+export const program = process.env.MOM_BROKER ?? join(project, "target/debug/mom-broker");
 
 /** Starts a broker whose configuration is the lab's, changed; `users` are added to the users file. */
 export async function startLab({ config = "", users = "", args = [] } = {}) {

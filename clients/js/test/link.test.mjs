@@ -111,6 +111,23 @@ test("parcels are counted, acknowledged and kept", async () => {
   assert.ok(sent < 12);
 });
 
+test("a hub that has counted other parcels is not gone on with", async () => {
+  const hub = await start();
+  const client = await open(hub.url);
+  await client.channel("/chat");
+  const states = client.states();
+  hub.link.connection.post({ family: "time", name: "ack", content: { read: 1, checksum: 7 } });
+  await until(states, (state) => state.state === "trying");
+  await until(states, (state) => state.state === "connected");
+  assert.deepEqual(hub.logins.map((parcel) => parcel.name), ["login", "login"]);
+  hub.checksum = 7;
+  hub.cut();
+  await until(states, (state) => state.state === "trying");
+  await until(states, (state) => state.state === "connected");
+  assert.deepEqual(hub.logins.slice(2).map((parcel) => parcel.name), ["resume", "answer", "login"]);
+  assert.equal(hub.logins[3].content.checksum, undefined, "only hubs from 1.3 on know it");
+});
+
 test("a count that cannot be ends the link, whoever says so", async () => {
   const hub = await start({ miscounts: true });
   const client = await open(hub.url);

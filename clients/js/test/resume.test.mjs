@@ -1,7 +1,7 @@
 // Lost connections, against a real broker.
 import assert from "node:assert/strict";
 import test, { after, before } from "node:test";
-import { connect } from "../dist/mom-client.js";
+import { connect, endPeer } from "../dist/mom-client.js";
 import { faultyNetwork } from "./fakehub.mjs";
 import { as, startLab, until } from "./lab.mjs";
 
@@ -260,6 +260,35 @@ test("who is away for longer than the grace time logs in and joins anew", async 
     assert.ok((await chat.sendAcknowledged("chat", "back")).delivered >= 1);
   } finally {
     await alice.close();
+    await bob.close();
+    await network.stop();
+  }
+});
+
+test("a peer whose page is gone is ended from elsewhere, however much it had read", async () => {
+  let there = true;
+  const network = await faultyNetwork(lab.port, () => Infinity, () => there);
+  const [direct, bob] = [`ws://127.0.0.1:${lab.port}`, await connect(`ws://127.0.0.1:${lab.port}`, as("bob"))];
+  const gone = await connect(`ws://127.0.0.1:${network.port}`, as("alice"));
+  try {
+    const his = (await bob.token("/robot/token")).events();
+    const around = (await bob.channel("/chat")).events();
+    await (await gone.token("/robot/token")).grab();
+    const chat = await gone.channel("/chat");
+    const mine = chat.events();
+    // After 256 it acknowledges them.
+    for (let number = 0; number < 600; number++) await chat.send("chat", number);
+    await until(mine, (event) => event.type === "message" && event.content === 599);
+    there = false;
+    network.cut();
+    await until(around, (event) => event.type === "lost");
+    await endPeer(direct, gone.credential, as("alice"));
+    const again = await connect(direct, as("alice"));
+    assert.equal(again.name, "alice");
+    await until(his, (event) => event.type === "released");
+    await again.close();
+  } finally {
+    await gone.close();
     await bob.close();
     await network.stop();
   }

@@ -104,7 +104,7 @@ class Queue {
       case "lose": return this.outbox.lose();
       case "resume": {
         this.#connect();
-        const unread = this.ledger.resumed(value);
+        const unread = this.ledger.resumed({ read: value });
         assert.ok(unread, `${value} were not sent`);
         return this.outbox.back(unread, { family: "time", name: "resent" });
       }
@@ -333,7 +333,7 @@ test("what is said without more is reliable, and awaited by nobody", () => {
   for (const content of [1, 2]) say("stop", content);
   pump();
   outbox.lose();
-  outbox.back(ledger.resumed(0));
+  outbox.back(ledger.resumed({ read: 0 }));
   pump();
   assert.deepEqual(done, [2, "note", 2, "note"]);
 });
@@ -366,37 +366,62 @@ test("the bounds of a queue are those of a hub", () => {
 
 test("a ledger keeps what is reliable, and of the rest the place", () => {
   const ledger = new Ledger();
-  const entry = (name, reliable) => ({ frame: { length: 10 }, name, reliable });
+  const entry = (name, reliable) => ({ frame: { length: 10 }, name, reliable, parcel: {} });
   for (const one of [entry("a", true), entry("b", false), entry("c", true), entry("d", false)]) ledger.wrote(one);
   assert.deepEqual([ledger.sent, ledger.bytes], [4, 20]);
-  assert.equal(ledger.acknowledged(5), false);
-  assert.equal(ledger.acknowledged(1), true);
-  assert.equal(ledger.acknowledged(0), false);
-  assert.equal(ledger.acknowledged(1), true);
+  assert.equal(ledger.acknowledged({ read: 5 }), false);
+  assert.equal(ledger.acknowledged({ read: 1 }), true);
+  assert.equal(ledger.acknowledged({ read: 0 }), false);
+  assert.equal(ledger.acknowledged({ read: 1 }), true);
   assert.deepEqual([ledger.sent, ledger.bytes, ledger.kept.map((one) => one.name)], [4, 10, ["b", "c", "d"]]);
-  assert.equal(ledger.acknowledged(2), true);
+  assert.equal(ledger.acknowledged({ read: 2 }), true);
   assert.equal(ledger.bytes, 10);
-  assert.deepEqual(ledger.resumed(2).map((one) => one.name), ["c", "d"]);
+  assert.deepEqual(ledger.resumed({ read: 2 }).map((one) => one.name), ["c", "d"]);
   assert.deepEqual([ledger.sent, ledger.bytes, ledger.kept], [2, 0, []]);
-  assert.equal(ledger.resumed(3), null);
+  assert.equal(ledger.resumed({ read: 3 }), null);
 });
 
 test("a ledger tells what was read, in time", () => {
   const first = new Ledger();
-  assert.deepEqual([first.heard(64 * KIB - 1), first.heard(1)], [false, true]);
+  assert.deepEqual([first.heard(64 * KIB - 1, {}), first.heard(1, {})], [false, true]);
   const ledger = new Ledger();
   assert.equal(ledger.tell(), null);
-  ledger.heard(1);
-  assert.deepEqual([ledger.tell(), ledger.tell()], [1, null]);
-  for (let count = 1; count < 256; count++) assert.equal(ledger.heard(1), false);
-  assert.equal(ledger.heard(1), true);
-  assert.deepEqual([ledger.tell(), ledger.tell(), ledger.read], [257, null, 257]);
-  assert.equal(ledger.heard(64 * KIB - 1), false);
-  assert.equal(ledger.heard(1), true);
-  assert.equal(ledger.tell(), 259);
-  assert.equal(ledger.heard(64 * KIB - 1), false);
+  ledger.heard(1, {});
+  assert.deepEqual([ledger.tell()?.read, ledger.tell()], [1, null]);
+  for (let count = 1; count < 256; count++) assert.equal(ledger.heard(1, {}), false);
+  assert.equal(ledger.heard(1, {}), true);
+  assert.deepEqual([ledger.tell()?.read, ledger.tell(), ledger.read], [257, null, 257]);
+  assert.equal(ledger.heard(64 * KIB - 1, {}), false);
+  assert.equal(ledger.heard(1, {}), true);
+  assert.equal(ledger.tell()?.read, 259);
+  assert.equal(ledger.heard(64 * KIB - 1, {}), false);
   // A resume tells it, too.
-  ledger.resumed(0);
+  ledger.resumed({ read: 0 });
   assert.equal(ledger.tell(), null);
-  assert.equal(ledger.heard(64 * KIB - 1), false);
+  assert.equal(ledger.heard(64 * KIB - 1, {}), false);
+});
+
+// The numbers are those of docs/PROTOCOL.md.
+test("a ledger sees whether the hub has counted the same parcels", () => {
+  const ids = [1, 2, 2 ** 32 + 3];
+  const checksums = [2_166_136_261, 67_918_732, 3_983_810_698, 1_456_420_779];
+  const reader = new Ledger();
+  assert.deepEqual(reader.said, { read: 0, checksum: checksums[0] });
+  ids.forEach((id, at) => {
+    reader.heard(1, { id });
+    assert.deepEqual(reader.said, { read: at + 1, checksum: checksums[at + 1] });
+  });
+  const other = new Ledger();
+  other.heard(1, { reference: 1 });
+  assert.equal(other.said.checksum, checksums[1], "a reference stands where there is no id");
+  other.heard(1, null);
+  assert.deepEqual(other.said, { read: 2 }, "of what nobody could read no checksum is known");
+  for (const read of [0, 1, 2, 3]) {
+    const sent = new Ledger();
+    for (const id of ids) sent.wrote({ frame: { length: 10 }, reliable: id !== 2, parcel: { id } });
+    const wrong = checksums[(read + 1) % 4];
+    assert.equal(sent.acknowledged({ read, checksum: checksums[read] }), true);
+    assert.equal(sent.resumed({ read, checksum: wrong }), null);
+    assert.notEqual(sent.resumed({ read }), null, "earlier hubs do not say it");
+  }
 });

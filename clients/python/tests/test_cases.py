@@ -97,7 +97,7 @@ class Replay:
         elif kind == "lose":
             await self.lose()
         elif kind == "resume":
-            assert self.core.resume(value), "a count that cannot be"
+            assert self.core.resume({"read": value}), "a count that cannot be"
         elif kind == "told":
             assert self.hear() == value
         elif kind == "clock":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
-from typing import Any, AsyncIterator, Callable, List
+from typing import Any, AsyncIterator, Callable, Dict, List
 
 import pytest
 import pytest_asyncio
@@ -12,6 +12,8 @@ from conftest import PATIENCE, heard, state
 from fake_hub import FakeHub
 
 import mom
+from mom.entry import Entry
+from mom.link import Link
 from mom.parcel import Parcel
 
 QUICK = mom.Reconnect(first=0.005, most=0.02)
@@ -446,26 +448,55 @@ async def test_a_code_that_closes_ends_the_link(hub: FakeHub, code: str, number:
     await client.close()
 
 
-async def test_counts_that_cannot_be_end_the_link(hub: FakeHub) -> None:
-    async with connect(hub):
-        hub.raw(Parcel("time", "ack", content={"read": 10_000}))
+@pytest.mark.parametrize("wrong", [{"read": 10_000}, {"read": 1, "checksum": 7}])
+async def test_counts_that_cannot_be_end_the_link(hub: FakeHub, wrong: Dict[str, int]) -> None:
+    async with connect(hub) as client:
+        await client.channel("/c")
+        hub.raw(Parcel("time", "ack", content=wrong))
         await until(lambda: len(hub.logins) == 2)
         assert not hub.resumes
 
 
-async def test_a_resume_by_counts_that_cannot_be_is_tried_again(hub: FakeHub, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("wrong", [{"read": 10_000}, {"read": 1, "checksum": 7}])
+async def test_a_resume_by_counts_that_cannot_be_is_none(
+    hub: FakeHub, wrong: Dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
     async with connect(hub) as client:
-        channel, right = await client.channel("/c"), hub._resume
+        channel = await client.channel("/c")
 
-        def wrong(answer: Parcel, read: int) -> None:
-            monkeypatch.setattr(hub, "_resume", right)
-            answer.content = {"resumed": True, "read": 10_000, "peer": "alice", "limits": hub.limits}
+        def resume(answer: Parcel, read: int) -> None:
+            answer.content = {"resumed": True, "peer": "alice", "limits": hub.limits, **wrong}
             hub.raw(answer)
 
-        monkeypatch.setattr(hub, "_resume", wrong)
+        monkeypatch.setattr(hub, "_resume", resume)
         hub.cut()
+        await until(lambda: len(hub.logins) == 2 and client.state.word == "connected")
         assert await asyncio.wait_for(channel.send_acknowledged("say"), PATIENCE) == mom.Receipt(1, [])
-        assert len(hub.resumes) == 2 and len(hub.logins) == 1
+        assert len(hub.resumes) == 1 and "checksum" not in hub.resumes[0], "only hubs from 1.3 on know it"
+
+
+async def test_the_checksum_of_the_protocol() -> None:
+    """The numbers are those of docs/PROTOCOL.md. A hub that says the right one is gone on with."""
+    ids, checksums = [1, 2, (1 << 32) + 3], [2_166_136_261, 67_918_732, 3_983_810_698, 1_456_420_779]
+    welcome = {"link": {"id": "a", "secret": b"s" * 32, "grace": 1000}, "protocol": {"major": 1, "minor": 3}}
+    for read, checksum in enumerate(checksums):
+        link = Link.of_reply(welcome)
+        assert link is not None and link.checks
+        for number in ids[:read]:
+            link.count(Parcel("event", "joined", id=number))
+        said = link.acknowledgement()
+        assert said is None if read == 0 else said is not None and said.content == {"read": read, "checksum": checksum}
+        for number in ids:
+            link.wrote(Entry(Parcel("message", "say", "/c", id=number)))
+        wrong = checksums[(read + 1) % 4]
+        assert link.acknowledged({"read": read, "checksum": checksum})
+        assert link.resumed({"read": read, "checksum": wrong}) is None
+        assert link.resumed({"read": read}) is not None, "earlier hubs do not say it"
+    other = Link.of_reply(welcome)
+    assert other is not None
+    other.count(Parcel("reply", "ok", reference=1))
+    said = other.acknowledgement()
+    assert said is not None and said.content == {"read": 1, "checksum": checksums[1]}
 
 
 async def test_signs_of_life_and_a_silent_hub(hub: FakeHub) -> None:

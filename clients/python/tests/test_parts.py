@@ -387,11 +387,13 @@ def test_a_link_keeps_what_outlives_a_loss() -> None:
     for entry in [note, note, Entry(Parcel("message", "frame", "/c", bytes(4000)), "fleeting"), Entry(Parcel("time", "ping"))]:
         link.wrote(entry)
     assert link.sent == 3 and len(link.unread) == 3 and link.kept_bytes == 2 * note.size
-    assert not link.acknowledged(4) and not link.acknowledged(-1) and not link.acknowledged("1") and len(link.unread) == 3
-    assert link.acknowledged(1) and not link.acknowledged(0) and len(link.unread) == 2 and link.kept_bytes == note.size
-    assert link.acknowledged(3) and link.kept_bytes == 0
+    for wrong in (4, -1, "1"):
+        assert not link.acknowledged({"read": wrong}) and len(link.unread) == 3
+    assert link.acknowledged({"read": 1}) and not link.acknowledged({"read": 0})
+    assert len(link.unread) == 2 and link.kept_bytes == note.size
+    assert link.acknowledged({"read": 3}) and link.kept_bytes == 0
     link.wrote(note)
-    both = link.resumed(3)
+    both = link.resumed({"read": 3})
     assert both == ([note], []) and link.sent == 3 and not link.unread and link.kept_bytes == 0
 
 
@@ -431,7 +433,7 @@ async def test_messages_are_held_back_beyond_what_is_kept_and_nothing_else_is() 
     await leave("stop", "info", "unstop")
     outbox.put(Entry(Parcel("message", "urgent", "/c", bytes(10), priority=9)))
     await leave()
-    assert core.link.acknowledged(1)
+    assert core.link.acknowledged({"read": 1})
     outbox.wake()
     await leave("urgent", "note", "short")
     sending.cancel()

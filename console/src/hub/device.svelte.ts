@@ -54,8 +54,6 @@ export class DeviceState {
   /** The newest status of each command. */
   statuses = $state.raw<ReadonlyMap<string, Status>>(new Map());
   failure = $state.raw<Failure | null>(null);
-  /** What was sent without a receipt and refused, the newest. */
-  refusal = $state.raw<Failure | null>(null);
 
   /** When it made its newest states, by its own clock: a camera names the state that its picture shows. */
   readonly #told = new Set<number>();
@@ -109,7 +107,6 @@ export class DeviceState {
   }
 
   #heard(event: HubEvent): void {
-    if (event.type === "refused") this.refusal = (event as { failure?: Failure }).failure ?? null;
     this.#teller.happens(event);
     if (event.type !== "message") return;
     const message = event as Message;

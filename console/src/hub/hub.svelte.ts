@@ -3,6 +3,7 @@ import type { CallName, Calls, Failure, Happening, HubEvent, Link, Login, Me, Ow
 import { HubError, failureOf } from "./failure.js";
 import { HeardPeers } from "./heard.js";
 import { OrderedStops, isWithin } from "../worker/ordered.js";
+import { troublesOf } from "./order.js";
 import { forgetNotices, keepNotices, keptNotices } from "./noted.js";
 import { type Port, open } from "./port.js";
 import { visible } from "./said.js";
@@ -30,6 +31,8 @@ export interface Notice {
 const MOST_NOTICES = 200;
 /** Notices are kept so long after the first of them, ms: many may come at once. */
 const KEEP = 200;
+/** What is the same within so many ms is noted once. */
+const REPEATED = 10_000;
 /** ms until a watch that was refused for now is tried again. */
 const AGAIN = 3000;
 
@@ -85,6 +88,7 @@ export class Hub {
   constructor(readonly name = "") {
     this.#port = open();
     this.#port.onWord = (word) => this.#heard(word);
+    this.#port.onFault = (text) => this.noteOnce("error", texts.shell.fault(text));
     globalThis.addEventListener?.("pagehide", () => this.#keepNotices());
   }
 
@@ -117,6 +121,7 @@ export class Hub {
     } catch (error) {
       if (this.#trying === login.address && this.#origin === null) await this.#explain();
       this.refusal = this.#origin ?? failureOf(error);
+      this.note("error", texts.login.refused(this.refusal.text), this.refusal);
       throw error;
     } finally {
       this.#trying = null;
@@ -222,8 +227,26 @@ export class Hub {
   }
 
   note(tone: Notice["tone"], text: string, failure?: Failure): void {
+    if (failure) this.#noted.add(failure);
+    if (tone === "error") for (const listener of this.#errorListeners) listener(text, failure);
     this.notices = [{ at: Date.now(), tone, text, ...(failure ? { failure } : {}) }, ...this.notices].slice(0, MOST_NOTICES);
     this.#keeping ??= setTimeout(() => this.#keepNotices(), KEEP);
+  }
+
+  /** Notes what a panel shows, or what may come again and again: not a failure that is a notice already, nor what was said just now. */
+  noteOnce(tone: Notice["tone"], text: string, failure?: Failure): void {
+    if (failure && this.#noted.has(failure)) return;
+    const since = Date.now() - REPEATED;
+    if (!this.notices.some((notice) => notice.at > since && notice.tone === tone && notice.text === text)) this.note(tone, text, failure);
+  }
+
+  readonly #noted = new WeakSet<Failure>();
+  readonly #errorListeners = new Set<(text: string, failure: Failure | undefined) => void>();
+
+  /** Hears each error that is noted. */
+  onError(listener: (text: string, failure: Failure | undefined) => void): () => void {
+    this.#errorListeners.add(listener);
+    return () => this.#errorListeners.delete(listener);
   }
 
   #keeping: ReturnType<typeof setTimeout> | undefined;
@@ -271,11 +294,14 @@ export class Hub {
       case "asked":
         return this.#isAsked(word.event);
       case "stop":
+        if (word.report.over && !(this.order?.over && this.order.at === word.report.at)) for (const { tone, text, failure } of troublesOf(word.report)) this.note(tone, text, failure);
         this.order = word.report;
         return;
       case "stops":
         this.stops = word.stops;
         return;
+      case "trouble":
+        return this.noteOnce(word.peer === undefined ? "error" : "warning", texts.notices.trouble(word.path, word.peer, visible(word.failure.text)), word.failure);
       case "jog-ended":
         for (const ends of this.#jogEnds) ends(word.path, word.failure);
         return;
@@ -342,6 +368,7 @@ export class Hub {
       this.refusal = link.error ?? null;
       this.onMe(null);
     }
+    if (link.state === "connected" && (before.state === "resuming" || before.state === "trying") && this.me) this.note("info", texts.notices.back);
     if (link.error && link.error.text !== before.error?.text) this.note("warning", link.error.text, link.error);
   }
 

@@ -5,6 +5,8 @@ import type { Question, Word } from "../worker/protocol.js";
 export interface Port {
   ask(question: Question): void;
   onWord: (word: Word) => void;
+  /** Called with what the worker did not catch. */
+  onFault: (text: string) => void;
   end(): void;
 }
 
@@ -20,7 +22,7 @@ export function open(): Port {
   const early: Question[] = [];
   let post = (question: Question): void => void early.push(question);
   let end = (): void => undefined;
-  const port: Port = { ask: (question) => post(question), onWord: () => undefined, end: () => end() };
+  const port: Port = { ask: (question) => post(question), onWord: () => undefined, onFault: () => undefined, end: () => end() };
   const inPage = async (): Promise<void> => {
     const { serve } = await import("../worker/worker.js");
     const { port1, port2 } = new MessageChannel();
@@ -38,8 +40,8 @@ export function open(): Port {
       early.length = 0;
       port.onWord(data);
     };
-    worker.onerror = () => {
-      if (heard) return;
+    worker.onerror = ({ message, filename, lineno }) => {
+      if (heard) return port.onFault(`${message} (${filename}:${lineno})`);
       worker.terminate();
       void inPage();
     };

@@ -11,6 +11,8 @@ export interface Group {
   paths: readonly string[];
   /** When the oldest was said, ms since 1970. */
   since: number | undefined;
+  /** When the newest was. */
+  latest: number | undefined;
 }
 
 export function groupsOf(stops: readonly StandingStop[]): Group[] {
@@ -22,6 +24,6 @@ export function groupsOf(stops: readonly StandingStop[]): Group[] {
   return [...groups].map(([words, all]) => {
     const paths = all.map(({ path }) => path);
     const times = all.flatMap(({ since }) => since ?? []);
-    return { words, places: t.places(paths[0]!, paths.length), paths, since: times.length ? Math.min(...times) : undefined };
+    return { words, places: t.places(paths[0]!, paths.length), paths, since: times.length ? Math.min(...times) : undefined, latest: times.length ? Math.max(...times) : undefined };
   });
 }

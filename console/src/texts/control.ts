@@ -26,6 +26,7 @@ export const login = {
   expelled: (path: string, by: string | undefined, text: string | undefined) =>
     `You were put out of ${path === "/" ? "the hub" : path}${by === undefined ? "" : ` by ${by}`}${text ? `: ${text}` : "."}`,
   expelledHow: "A login may be refused for a while.",
+  refused: (why: string) => `The login failed: ${why}`,
   noHub: "The hub does not answer at this address.",
 };
 
@@ -74,6 +75,8 @@ export const stop = {
   somebody: "somebody",
   newer: (by: string, reason: string | undefined) => `stays stopped: ${by} has stopped it again since${reason ? `: ${reason}` : ""}`,
   lostDevice: "its connection is lost: it finds the stop when it comes back",
+  deniedOne: "you may not stop it",
+  obeysBut: (rest: string) => `obeys, and is ${rest}`,
   empty: "no device is here to obey",
   denied: (count: number) => `${count === 1 ? "One channel" : `${count} channels`} you may not stop, and not reached:`,
   report: (order: string) => (order === "stop" ? "Stop" : "Let go"),

@@ -17,6 +17,10 @@ export const shell = {
   news: "News",
   history: "History",
   noNews: "Nothing has happened.",
+  /** Of an error that nothing in the page has caught. */
+  fault: (text: string) => `A fault of this page: ${text}`,
+  report: "Report errors to the hub",
+  reportTitle: "Sends the text of each error of this page to the hub, for its operators (mom logs): without a login, and in the clear where this page came without TLS. At most 5 in a minute",
   open: "What is asked and offered",
   gone: (device: string, since: string) => `The device of ${device} is gone since ${since}`,
   wentAway: (device: string) => `The device of ${device} is gone, or its connection is lost.`,

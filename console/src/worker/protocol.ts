@@ -1,5 +1,5 @@
 // What page and worker say to each other.
-import type { ContextInfo, ContextKind, Member } from "mom-client";
+import type { ContextInfo, ContextKind, Member, Report } from "mom-client";
 import type { Rest } from "./rest.js";
 
 /** Content that can be cloned: a time is a `Date`, a whole double a number. */
@@ -257,6 +257,8 @@ export interface Calls {
   give(path: string, to: string, options: { for?: number; commands?: number }): void;
   release(path: string): void;
   breakHold(path: string): string[];
+  /** Reports an error of the page to the hub at an address, without a login; whether the hub has taken it. */
+  report(address: string, report: Report): boolean;
 }
 
 export type CallName = keyof Calls;
@@ -287,5 +289,7 @@ export type Word =
   | { word: "stop"; report: StopReport }
   /** All stops that hold, as far as they are known. */
   | { word: "stops"; stops: StandingStop[] }
+  /** What went wrong in a channel that is watched: of a device or with the command of a `peer`, or with what this page has said without waiting. */
+  | { word: "trouble"; path: string; peer?: string | undefined; failure: Failure }
   /** What a jog came to that did not end by the page's word. */
   | { word: "jog-ended"; path: string; failure: Failure };

@@ -1,5 +1,5 @@
 // The worker: the hub's client, away from the page's thread.
-import { type Client, type Parcel, MomError, type TokenGuard, fieldsOf } from "mom-client";
+import { type Client, type Parcel, MomError, type TokenGuard, fieldsOf, report } from "mom-client";
 import { Asking } from "./asking.js";
 import { Feeds, birth } from "./feeds.js";
 import { Jogging } from "./jogging.js";
@@ -11,6 +11,7 @@ import { unreachedSince } from "./rest.js";
 import { Session } from "./session.js";
 import { Standing } from "./standing.js";
 import { Stopping } from "./stopping.js";
+import { Troubles } from "./troubles.js";
 
 /** What answers each call; the answer may take its time. */
 type Answers = { [Name in CallName]: (...args: Parameters<Calls[Name]>) => ReturnType<Calls[Name]> | Promise<ReturnType<Calls[Name]>> };
@@ -43,10 +44,12 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
   const feeds: Feeds = new Feeds(say, (path, event, client) => {
     standing.heard(path, event);
     asking.heard(path, event, client);
+    troubles.heard(path, event, client.name);
     if (event.type !== "message" || event.name !== "state" || event.history) return;
     const said = fieldsOf(event.content);
     if (typeof said["stopped"] === "boolean") stopping.heard(path, event.sender, said, unreachedSince(said, ahead(client, event.parcel)));
   });
+  const troubles = new Troubles(say);
   const jogging = new Jogging(() => session.client, say);
   const ordered = new OrderedStops();
 
@@ -118,6 +121,7 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
     },
     release: (path) => session.owned(path).release(),
     breakHold: async (path) => (await session.client.token(path)).breakHold(),
+    report: (address, what) => report(address, what),
   };
 
   port.onmessage = ({ data }: MessageEvent<Question>) => {

@@ -75,6 +75,7 @@ from .login import Key
 from .obey import Device, Machine
 from .parcel import Parcel
 from .proxies import UNLIMITED, Channel, Given, Grab, Guard, InhibitGuard, Receipt, Session, Token, TokenGuard
+from .reports import report
 from .states import LinkState, Reconnect
 from .stops import DeviceAnswer, StopReport, StopState, ToldChannel
 from .subscriptions import Events
@@ -166,4 +167,5 @@ __all__ = [
     "Value",
     "WireError",
     "connect",
+    "report",
 ]

@@ -6,7 +6,7 @@ import asyncio
 from dataclasses import replace
 from datetime import datetime
 from types import TracebackType
-from typing import Any, AsyncIterator, Callable, Dict, Generator, Iterable, List, Mapping, Optional, Type, Union
+from typing import Any, AsyncIterator, Callable, Dict, Generator, Iterable, List, Mapping, Optional, Tuple, Type, Union
 
 from .address import Address
 from .clock import HubClock
@@ -79,6 +79,7 @@ def connect(
     event_buffer: int = 1024,
     wall_clock: Callable[[], datetime] = now,
     on_state: Optional[Callable[[LinkState], None]] = None,
+    report: Union[None, str, Tuple[str, str]] = None,
 ) -> Connect:
     """Connects and logs in. Use it as `async with mom.connect(…) as client:`, or `await` it and `close` the client.
 
@@ -101,6 +102,8 @@ def connect(
     - `event_buffer`: the most events that wait for one subscription.
     - `wall_clock`: the clock that stamps this peer's parcels. It may be wrong: the hub measures its offset.
     - `on_state`: called with each state of the link, from the first attempt on.
+    - `report`: the name of this program, or that and its version: reports to the hub, once, without a login and in the clear, why the
+      first attempt to connect failed, if the connection is at fault. Off unless it is given. `mom.report` reports other errors.
 
     Raises `AddressError` for a wrong address, `LocalError` for what is wrong on this side (`insecure` for a password that others
     could read), `RefusedError` with `bad-login` and other refusals of the hub, and `ConnectionDownError` where attempts are
@@ -108,7 +111,8 @@ def connect(
     """
     credentials = Credentials(user, password, key, token, certificate, guest, nickname, hub_name)
     # Who does not come back leaves at once.
-    options = Options(Address.parse(address), trust, link and reconnect is not None, grace, heartbeat, connect_timeout, reconnect)
+    links = link and reconnect is not None
+    options = Options(Address.parse(address), trust, links, grace, heartbeat, connect_timeout, reconnect, report)
     return Connect(
         lambda: Core(wall_clock, event_buffer, request_timeout, installation), credentials, options, [on_state] if on_state else []
     )

@@ -406,9 +406,9 @@ class Core:
         self.is_up = False
         self.outbox.lose()
 
-    def resume(self, read: Any) -> bool:
-        """The link goes on over another connection; the hub has read so many parcels. Whether that can be."""
-        both = self.link.resumed(read) if self.link is not None else None
+    def resume(self, content: Dict[str, Any]) -> bool:
+        """The link goes on over another connection; the hub says what it has read. Whether that can be."""
+        both = self.link.resumed(content) if self.link is not None else None
         if both is None:
             return False
         self.is_up = True

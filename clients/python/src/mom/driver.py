@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from dataclasses import dataclass
-from typing import Dict, List, Optional, Set, Tuple
+from typing import Dict, List, Optional, Set, Tuple, Union
 
 from .address import TUNNEL, WEBSOCKET, Address
 from .connection import Connection
@@ -16,6 +16,7 @@ from .events import Dropped
 from .link import Link
 from .login import Credentials
 from .parcel import Parcel
+from .reports import report
 from .states import LinkState, Reconnect
 from .transport import Trust, has_websockets
 
@@ -45,6 +46,8 @@ class Options:
     heartbeat: Optional[float]
     connect_timeout: float
     reconnect: Optional[Reconnect]
+    reporter: Union[None, str, Tuple[str, str]] = None
+    """Which program reports that its first attempt fails, and its version."""
 
     def __post_init__(self) -> None:
         # A hub refuses it as it refuses what it does not know: then there would be no link either.
@@ -139,6 +142,8 @@ class Driver:
                 last = error
             except ConnectionDownError as error:
                 last = error
+                if at_once and not attempt:
+                    await self._report(error)
             attempt += 1
             passed = loop.time() - begin
             if reconnect is None or (reconnect.give_up_after is not None and passed >= reconnect.give_up_after):
@@ -146,6 +151,13 @@ class Driver:
             if said != str(last):
                 said = str(last)
                 LOG.warning("waiting for the hub: %s", said)
+
+    async def _report(self, error: ConnectionDownError) -> None:
+        """Reports an error of the connection, if it is to be: what a hub refuses it knows."""
+        reporter = self.options.reporter
+        if reporter is not None:
+            program, version = (reporter, None) if isinstance(reporter, str) else reporter
+            await report(str(self.options.address), str(error), code=error.code, program=program, version=version)
 
     async def _once(self) -> Connection:
         connection, door = await self._open()
@@ -279,7 +291,7 @@ class Driver:
         content = {**self.core.welcome, **reply.map()}
         if not isinstance(content.get("peer"), str) or not isinstance(content.get("user"), str):
             raise ConnectionDownError("the hub's reply to the login names no peer")
-        self.core.welcome = {key: value for key, value in content.items() if key not in ("link", "resumed", "read", "dropped")}
+        self.core.welcome = {key: value for key, value in content.items() if key not in ("link", "resumed", "read", "checksum", "dropped")}
         self.core.outbox.most = self.core.limit("outbox", 4 << 20)
         self.core.outbox.most_open = self.core.limit("parcel", 8 << 20)
         if self._connection is not None:
@@ -319,7 +331,9 @@ class Driver:
 
     def _resumed(self, reply: Parcel) -> None:
         content = reply.map()
-        if content.get("resumed") is not True or not self.core.resume(content.get("read")):
+        if content.get("resumed") is not True or not self.core.resume(content):
+            # The two sides count differently: something would come twice, or never.
+            self.core.lose_all("the hub has read other parcels than those that were sent")
             raise ConnectionDownError("the hub resumed a link by counts that cannot be")
         self.welcomed(reply)
         dropped = content.get("dropped")
@@ -387,9 +401,9 @@ class Driver:
         elif parcel.name == "pong" and core.clock._answered(parcel):
             self._ping()
         elif parcel.name == "ack" and core.link is not None:
-            if not core.link.acknowledged(parcel.map().get("read")):
+            if not core.link.acknowledged(parcel.map()):
                 core.link = None
-                raise ConnectionDownError("the hub says that it has read what was never sent")
+                raise ConnectionDownError("the hub says that it has read other parcels than those that were sent")
             core.outbox.wake()
 
     def _acknowledge(self) -> None:

@@ -13,18 +13,33 @@ from .parcel import Parcel
 
 _ACK_PARCELS, _ACK_BYTES = 256, 64 * 1024
 
+_BASIS, _PRIME = 0x811C9DC5, 0x01000193
+_CHECKSUMS = 3
+"""The minor version from which on hubs take a checksum; those before refuse it."""
+
+
+def _with(checksum: int, parcel: Parcel) -> int:
+    """The checksum that goes on with this parcel."""
+    number = parcel.id if parcel.id is not None else parcel.reference or 0
+    return (checksum ^ number & 0xFFFFFFFF) * _PRIME & 0xFFFFFFFF
+
 
 class Link:
     """The counts of one link, which outlives its connections.
 
-    Each side counts the parcels of each direction, without a number on the wire. What outlives a loss is kept until the hub
+    Each side counts the parcels of each direction, without a number on the wire, and makes a checksum of them, by which the
+    other sees that both count the same. What outlives a loss is kept until the hub
     has said that it has read it; of the rest the place in the count, and whom to tell.
     """
 
-    def __init__(self, name: str, secret: bytes, grace: float) -> None:
+    def __init__(self, name: str, secret: bytes, grace: float, checks: bool = False) -> None:
         self.name, self.grace = name, grace
+        self.checks = checks
+        """Whether the hub takes a checksum at a resume."""
         self.sent, self.read = 0, 0
         """How many parcels were written whole, and how many were read whole."""
+        self._checksum, self._sent_checksum = _BASIS, _BASIS
+        """Of what was read, and of what was sent before what is kept."""
         self._secret = secret
         self._kept: Deque[Entry] = deque()
         self.kept_bytes = 0
@@ -40,7 +55,9 @@ class Link:
         name, secret, grace = told.get("id"), told.get("secret"), told.get("grace")
         if not isinstance(name, str) or not isinstance(secret, bytes) or not isinstance(grace, int):
             return None
-        return Link(name, secret, grace / 1000)
+        version = content.get("protocol")
+        minor = version.get("minor") if isinstance(version, dict) else None
+        return Link(name, secret, grace / 1000, isinstance(minor, int) and minor >= _CHECKSUMS)
 
     def wrote(self, entry: Entry) -> None:
         """Notes that the last byte of a parcel is written."""
@@ -51,19 +68,22 @@ class Link:
         if entry.outlives:
             self.kept_bytes += entry.size
 
-    def acknowledged(self, read: Any) -> bool:
-        """Forgets what the hub has read; whether that can be."""
+    def acknowledged(self, content: Dict[str, Any]) -> bool:
+        """Forgets what the hub says that it has read; whether that can be, and is of the parcels that were sent."""
+        read, checksum = content.get("read"), content.get("checksum")
         if not isinstance(read, int) or not self.sent - len(self._kept) <= read <= self.sent:
             return False
         while self.sent - len(self._kept) < read:
             entry = self._kept.popleft()
             self.kept_bytes -= entry.size if entry.outlives else 0
-        return True
+            self._sent_checksum = _with(self._sent_checksum, entry.parcel)
+        return checksum is None or checksum == self._sent_checksum
 
     def count(self, parcel: Parcel) -> bool:
         """Counts a parcel of the hub; whether it is time to say so."""
         if parcel.family != "time":
             self.read += 1
+            self._checksum = _with(self._checksum, parcel)
             self._bytes += parcel.size
         return self.read - self._said >= _ACK_PARCELS or self._bytes >= _ACK_BYTES
 
@@ -72,24 +92,25 @@ class Link:
         if self.read == self._said:
             return None
         self._said, self._bytes = self.read, 0
-        return Parcel("time", "ack", content={"read": self.read})
+        return Parcel("time", "ack", content={"read": self.read, "checksum": self._checksum})
 
     def answer(self, challenge: Parcel) -> Dict[str, Any]:
         """The content of the answer to the challenge of a resume."""
         hub, nonce = read_challenge(challenge, _LINK)
         signed = b"\0".join([_LINK, hub.encode(), self.name.encode(), nonce])
         self._said, self._bytes = self.read, 0
-        return {"proof": hmac.new(self._secret, signed, hashlib.sha256).digest(), "read": self.read}
+        content = {"proof": hmac.new(self._secret, signed, hashlib.sha256).digest(), "read": self.read}
+        return {**content, "checksum": self._checksum} if self.checks else content
 
     @property
     def unread(self) -> List[Entry]:
         """What was sent, and may not have been read."""
         return list(self._kept)
 
-    def resumed(self, read: Any) -> Optional[Tuple[List[Entry], List[Entry]]]:
+    def resumed(self, content: Dict[str, Any]) -> Optional[Tuple[List[Entry], List[Entry]]]:
         """After a resume: what is to be sent again, in the old order, and what is not; `None` for a count that cannot be."""
-        if not self.acknowledged(read):
+        if not self.acknowledged(content):
             return None
         left, self._kept, self.kept_bytes = list(self._kept), deque(), 0
-        self.sent = read
+        self.sent = content["read"]
         return [entry for entry in left if entry.outlives], [entry for entry in left if not entry.outlives]

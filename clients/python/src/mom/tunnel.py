@@ -17,7 +17,7 @@ _AGAIN = (0.05, 0.25, 1.0, 3.0)
 _FAILED = (OSError, EOFError, asyncio.TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, ValueError)
 
 
-class _Requests:
+class Requests:
     """Requests one after the other, over one connection as long as it lasts."""
 
     def __init__(self, address: Address, trust: Trust, context: Optional[ssl.SSLContext]) -> None:
@@ -76,7 +76,7 @@ class _Requests:
 
 async def open_tunnel(address: Address, trust: Trust, context: Optional[ssl.SSLContext]) -> Transport:
     """Opens a tunnel to a hub."""
-    up = _Requests(address, trust, context)
+    up = Requests(address, trust, context)
     try:
         status, headers, said = await asyncio.wait_for(up.whole("POST", "/tunnel"), _PATIENCE)
         if status != 201 or len(headers.get("mom-tunnel", "")) != 32:
@@ -87,13 +87,13 @@ async def open_tunnel(address: Address, trust: Trust, context: Optional[ssl.SSLC
     except _FAILED as error:
         up.drop()
         raise ConnectionDownError(f"{address}: {error}") from error
-    return TunnelTransport(up, _Requests(address, trust, context), headers["mom-tunnel"], address.polled)
+    return TunnelTransport(up, Requests(address, trust, context), headers["mom-tunnel"], address.polled)
 
 
 class TunnelTransport(Transport):
     """Some requests bring bytes up, others bring them down; both streams are counted, as requests may be repeated."""
 
-    def __init__(self, up: _Requests, down: _Requests, tunnel: str, polled: bool) -> None:
+    def __init__(self, up: Requests, down: Requests, tunnel: str, polled: bool) -> None:
         self._id, self._polled = tunnel, polled
         self._up, self._at = bytearray(), 0
         """What was written and is not taken, and where in the stream it begins."""
@@ -150,7 +150,7 @@ class TunnelTransport(Transport):
         self._broken = self._broken or f"the tunnel broke off: {why}"
         self._changed()
 
-    async def _bring_up(self, requests: _Requests) -> None:
+    async def _bring_up(self, requests: Requests) -> None:
         most, failures = _BEFORE_LOGIN, iter(_AGAIN)
         try:
             while True:
@@ -188,7 +188,7 @@ class TunnelTransport(Transport):
         finally:
             requests.drop()
 
-    async def _bring_down(self, requests: _Requests) -> None:
+    async def _bring_down(self, requests: Requests) -> None:
         failures = iter(_AGAIN)
         try:
             while True:
@@ -223,7 +223,7 @@ class TunnelTransport(Transport):
         finally:
             requests.drop()
 
-    async def _read_all(self, requests: _Requests) -> None:
+    async def _read_all(self, requests: Requests) -> None:
         while await asyncio.wait_for(requests.more(), _PATIENCE):
             pass
 
@@ -236,7 +236,7 @@ class TunnelTransport(Transport):
             if left <= 0 or not await self._changes(left):
                 self._ended = self._id == known
 
-    async def _take_in(self, requests: _Requests) -> None:
+    async def _take_in(self, requests: Requests) -> None:
         while data := await self._next(requests):
             self._down += data
             self._arrived += len(data)
@@ -244,7 +244,7 @@ class TunnelTransport(Transport):
             while len(self._down) > 4 * _WINDOW:
                 await self._changes()
 
-    async def _next(self, requests: _Requests) -> bytes:
+    async def _next(self, requests: Requests) -> bytes:
         """More of the stream; nothing at its end, or when somebody between holds it back: then it is asked for piece by piece."""
         more = asyncio.ensure_future(requests.more())
         try:

@@ -5,7 +5,8 @@ import { fields, list } from "../../hub/fields.js";
 import type { Hub } from "../../hub/hub.svelte.js";
 import { selectionOf } from "../../hub/selection.svelte.js";
 import { pictures } from "../../hub/pictures.svelte.js";
-import type { Message } from "../../worker/protocol.js";
+import { texts } from "../../texts/index.js";
+import type { Failure, Message } from "../../worker/protocol.js";
 import { type Direction, type Drive, type Forward, NOTHING, REST, TABLE, type Vector, WAYS, directionOf, forwardOf, isNothing, step, sum, velocity } from "./machine.js";
 import { NOT_PUSHED, type Pushed, readPad } from "./pad.js";
 import { Settings } from "./settings.svelte.js";
@@ -84,7 +85,7 @@ export class Driver {
 
   /** Looks and drives until the function that it gives is called. */
   start(): () => void {
-    const ends = [this.device.start(), this.hub.onJogEnd((path, failure) => path === this.path && this.#refuse(failure.text)), this.hub.onStop(() => this.look())];
+    const ends = [this.device.start(), this.hub.onJogEnd((path, failure) => path === this.path && this.#refuse(failure)), this.hub.onStop(() => this.look())];
     const timer = setInterval(() => this.look(), EVERY);
     const listen = <Name extends keyof WindowEventMap>(name: Name, hears: (event: WindowEventMap[Name]) => void, capture = false): void => {
       window.addEventListener(name, hears, capture);
@@ -184,9 +185,14 @@ export class Driver {
     if (!wish || this.drive.phase !== "drive") this.look();
   }
 
-  #refuse(text: string): void {
-    this.#refused = { at: Date.now(), text };
+  #refuse(failure: Failure): void {
+    this.#note(failure);
     this.look();
+  }
+
+  #note(failure: Failure): void {
+    this.#refused = { at: Date.now(), text: failure.text };
+    this.hub.noteOnce("error", texts.notices.trouble(this.path, undefined, failure.text), failure);
   }
 
   #findPads(): void {
@@ -244,7 +250,7 @@ export class Driver {
     const { drive, device, hub } = this;
     if (drive.phase !== "drive") return;
     const refusal = [...device.statuses.values()].findLast(({ peer, state, arrived }) => peer === hub.me?.peer && state === "error" && arrived >= drive.since);
-    if (refusal) this.#refused = { at: Date.now(), text: refusal.error?.text ?? "" };
+    if (refusal) this.#note(refusal.error ?? { kind: "refused", code: "error", text: "", content: {} });
   }
 
   #said = 0;
@@ -260,7 +266,7 @@ export class Driver {
     this.#said = now;
     const wish = sum(...[...this.#keys.values(), ...this.#buttons.values()].map((direction) => WAYS[direction]), ...this.#sticks.values(), this.pushed.wish);
     this.velocity = velocity(wish, settings.speed, settings.turn, this.forward);
-    hub.call("jog", { path: this.path, velocity: [...this.velocity], fence: owned.fence }).catch((error: unknown) => this.#refuse(failureOf(error).text));
+    hub.call("jog", { path: this.path, velocity: [...this.velocity], fence: owned.fence }).catch((error: unknown) => this.#refuse(failureOf(error)));
   }
 
   /** Cameras show what changes: one that has nothing to show is asked, so that the picture is of now. */

@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use mom_broker::Broker;
-use mom_client::{Builder, Client, Event, Family, Parcel, Path, Reconnect, Trust};
+use mom_client::{Builder, Client, Delivery, Event, Family, Parcel, Path, Reconnect, Trust};
 use mom_tests::faulty::{End, Fault, FaultyNetwork};
 use mom_tests::programs::PATIENCE;
 use mom_tests::{lab, tls};
@@ -61,6 +61,13 @@ fn say(number: i64) -> Parcel {
     Parcel::new(Family::Message, "say")
         .context(path("/chat"))
         .content(number)
+}
+
+/// It is no number, which would be heard.
+fn between(name: &str) -> Parcel {
+    let mut parcel = Parcel::new(Family::Message, name).context(path("/chat"));
+    parcel.delivery = (name != "stop").then_some(Delivery::Fleeting);
+    parcel
 }
 
 fn path(text: &str) -> Path {
@@ -203,6 +210,13 @@ async fn survive(scheme: &str, query: &str, resume: u64) {
                 .await
                 .expect("it waits for the next connection");
             bob.send(say(said)).await.expect("bob is steady");
+            // Between them what is not kept, and what overtakes all that waits.
+            for client in [&alice, &bob] {
+                let _ = client.send(between("tick")).await;
+                if said % 4 == 0 {
+                    let _ = client.send(between("stop")).await;
+                }
+            }
             // Now and then both have heard all, so that the exchange goes at the pace of the network.
             if said % 8 == 0 {
                 for wanted in said - 7..=said {
