@@ -9,8 +9,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use bytes::Bytes;
-use mom_proto::Parcel;
 use mom_proto::codec::Encoded;
+use mom_proto::{Parcel, binary};
 
 use super::*;
 use crate::Allowance;
@@ -71,7 +71,7 @@ impl Item for Packet {
     }
 
     fn checksum_word(&self) -> u32 {
-        mom_proto::binary::checksum_word(&self.frames.head)
+        binary::checksum_word(&self.frames.head)
     }
 
     fn counts(&self) -> bool {
@@ -577,8 +577,10 @@ fn what_comes_back_is_waited_for() {
     queue.put_back(note);
     queue.push(entry("newer", Lane::Data(9), Delivery::Reliable));
     let taken: Vec<Piece> = std::iter::from_fn(|| pop(&mut queue, 0)).collect();
-    let order: Vec<String> = taken.iter().map(name).collect();
-    assert_eq!(order, ["note", "release", "newer"]);
+    assert_eq!(
+        taken.iter().map(name).collect::<Vec<_>>(),
+        ["note", "release", "newer"]
+    );
     taken.into_iter().rev().for_each(|piece| queue.put_back(piece));
     assert_eq!(names(&mut queue), ["note", "release", "newer"]);
 }
