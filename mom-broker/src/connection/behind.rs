@@ -15,7 +15,7 @@ const SLOTS: usize = 128;
 
 /// What stands at one turn.
 #[derive(Debug)]
-pub(super) enum Turn {
+pub(super) enum Queued {
     Frame(Frame),
     /// One that is handled already: it is only counted when its turn comes, as [`checksum_word`] says.
     Passed(Option<u32>),
@@ -24,7 +24,7 @@ pub(super) enum Turn {
 /// Parcels in their order that were read while one before them waited.
 #[derive(Debug, Default)]
 pub(super) struct Behind {
-    parcels: VecDeque<Turn>,
+    parcels: VecDeque<Queued>,
     bytes: usize,
     /// What follows them is broken.
     fault: Option<NetError>,
@@ -48,7 +48,7 @@ impl Behind {
 
     pub(super) fn push(&mut self, frame: Frame) {
         self.bytes += size(&frame);
-        self.parcels.push_back(Turn::Frame(frame));
+        self.parcels.push_back(Queued::Frame(frame));
     }
 
     /// Nothing that follows can be read.
@@ -62,9 +62,9 @@ impl Behind {
     }
 
     /// The next one.
-    pub(super) fn pop(&mut self) -> Option<Turn> {
+    pub(super) fn pop(&mut self) -> Option<Queued> {
         let next = self.parcels.pop_front()?;
-        if let Turn::Frame(frame) = &next {
+        if let Queued::Frame(frame) = &next {
             self.bytes -= size(frame);
         }
         Some(next)
@@ -89,7 +89,7 @@ impl Behind {
 
     /// Notes that a parcel behind all these has passed them.
     pub(super) fn note_passed(&mut self, frame: &Frame) {
-        self.parcels.push_back(Turn::Passed(checksum_word(frame)));
+        self.parcels.push_back(Queued::Passed(checksum_word(frame)));
     }
 
     /// Takes out each `unstop` that a stop which passes takes back; gives their ids. `number` says which context is meant.
@@ -106,13 +106,13 @@ impl Behind {
                     && number(parcel) == context
                     && overlap(parcel, stop)
             };
-            if let Turn::Frame(frame) = place
+            if let Queued::Frame(frame) = place
                 && let Frame::Parcel(parcel) = &*frame
                 && taken_back(parcel)
             {
                 withdrawn.push(parcel.id);
                 self.bytes -= size(frame);
-                *place = Turn::Passed(checksum_word(frame));
+                *place = Queued::Passed(checksum_word(frame));
             }
         }
         withdrawn
@@ -121,7 +121,7 @@ impl Behind {
     fn holds(&self, what: impl Fn(&Parcel) -> bool) -> bool {
         self.parcels
             .iter()
-            .any(|place| matches!(place, Turn::Frame(Frame::Parcel(parcel)) if what(parcel)))
+            .any(|place| matches!(place, Queued::Frame(Frame::Parcel(parcel)) if what(parcel)))
     }
 }
 
@@ -249,9 +249,9 @@ mod tests {
         assert!(behind.bytes() < before);
         let left: Vec<_> = std::iter::from_fn(|| behind.pop())
             .map(|next| match next {
-                Turn::Frame(Frame::Parcel(parcel)) => Ok(parcel.id),
-                Turn::Frame(malformed) => panic!("{malformed:?}"),
-                Turn::Passed(word) => Err(word),
+                Queued::Frame(Frame::Parcel(parcel)) => Ok(parcel.id),
+                Queued::Frame(malformed) => panic!("{malformed:?}"),
+                Queued::Passed(word) => Err(word),
             })
             .collect();
         assert_eq!(
@@ -286,7 +286,7 @@ mod tests {
         let mut behind = behind([said(Family::Message, "chat")]);
         behind.break_off(NetError::Wire(withdrawn()));
         assert!(!behind.takes_more());
-        assert!(matches!(behind.pop(), Some(Turn::Frame(_))) && behind.pop().is_none());
+        assert!(matches!(behind.pop(), Some(Queued::Frame(_))) && behind.pop().is_none());
         assert!(behind.fault().is_some());
     }
 }

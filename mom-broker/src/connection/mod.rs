@@ -35,7 +35,7 @@ use crate::traffic::memory::{Charge, Gate, over_memory};
 use crate::traffic::outbox::Outbox;
 use crate::traffic::switchboard::{Handled, Touched, flush};
 
-use behind::{Behind, Turn, checksum_word};
+use behind::{Behind, Queued, checksum_word};
 use heartbeat::Unfinished;
 use links::Served;
 use measure::{Measure, Pings};
@@ -328,8 +328,8 @@ impl Connection {
     fn next(&mut self, reader: &mut Reader) -> Result<Option<Came>, End> {
         if let Some(next) = self.arrival.behind.as_mut().and_then(|behind| behind.pop()) {
             return Ok(Some(match next {
-                Turn::Frame(frame) => Came::Whole(frame),
-                Turn::Passed(word) => Came::Passed(word),
+                Queued::Frame(frame) => Came::Whole(frame),
+                Queued::Passed(word) => Came::Passed(word),
             }));
         }
         if let Some(fault) = self.arrival.behind.take().and_then(|behind| behind.fault()) {

@@ -577,10 +577,8 @@ fn what_comes_back_is_waited_for() {
     queue.put_back(note);
     queue.push(entry("newer", Lane::Data(9), Delivery::Reliable));
     let taken: Vec<Piece> = std::iter::from_fn(|| pop(&mut queue, 0)).collect();
-    assert_eq!(
-        taken.iter().map(name).collect::<Vec<_>>(),
-        ["note", "release", "newer"]
-    );
+    let order: Vec<String> = taken.iter().map(name).collect();
+    assert_eq!(order, ["note", "release", "newer"]);
     taken.into_iter().rev().for_each(|piece| queue.put_back(piece));
     assert_eq!(names(&mut queue), ["note", "release", "newer"]);
 }
@@ -598,6 +596,5 @@ fn the_newest_unstop_leaves_in_its_own_place() {
     queue.push(unstop());
     queue.put_back(older);
     assert_eq!(names(&mut queue), ["note", "more", "unstop"]);
-    let drops: Vec<_> = queue.take_drops().into_iter().collect();
-    assert_eq!(drops, [((DropReason::Replaced, Delivery::Reliable), 2)]);
+    assert_eq!(queue.take_drops()[&(DropReason::Replaced, Delivery::Reliable)], 2);
 }
