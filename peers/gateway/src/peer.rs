@@ -86,6 +86,8 @@ pub(crate) enum News {
     Linked,
     /// It does not any more, for this reason.
     Lost(String),
+    /// It never did since, for this reason, which is told once until it is another one.
+    Unreached(String),
     /// It has said this.
     Reply(Frame),
 }

@@ -6,14 +6,14 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use mom_brs::Code;
-use mom_client::{Channel, ClientError, Parcel};
+use mom_client::{Channel, ClientError, LinkState, Parcel};
 use mom_device::{
     DeviceError, DevicePeer, ErrorName, Machine, Outlet, instant_of, sender, sleep_or_wait, time_since,
 };
 use mom_fleet::{StatusTeller, come_back};
 use tokio::sync::{Notify, watch};
 use tokio::task::yield_now;
-use tokio::time::{Instant, sleep_until};
+use tokio::time::{Instant, sleep, sleep_until};
 
 use crate::Unit;
 use crate::peer::{News, RobotSite, RobotWire};
@@ -21,6 +21,8 @@ use crate::station::is_stop;
 
 /// So long a robot may take to say that it stands before the program ends all the same.
 const LAST_STOP: Duration = Duration::from_secs(1);
+/// So long a login takes at most at a hub that is there: its robots need not be met anew for it.
+const LOGIN: Duration = Duration::from_secs(1);
 
 /// One robot for as long as its gateway lives, in its channel and without it.
 pub(crate) struct Robot {
@@ -41,6 +43,8 @@ enum Ended {
     Gone,
     /// Its wire is.
     Unwired,
+    /// Its gateway's link to the hub is lost, with all places and tokens.
+    Adrift,
 }
 
 impl Robot {
@@ -75,21 +79,28 @@ impl Robot {
                 Some(channel) => self.obey(channel, &mut stopping).await,
                 None => Ended::Gone,
             };
-            if ended == Ended::Gone {
+            if matches!(ended, Ended::Gone | Ended::Adrift) {
+                let why = match ended {
+                    Ended::Adrift => "the hub is out of reach, and its place there is gone",
+                    _ => "its place in its channel is gone, or another device has it",
+                };
                 tracing::warn!(
                     unit = self.line.unit,
-                    "the robot has no place in its channel; it stands until it has"
+                    why,
+                    "the robot stands until it has a place"
                 );
-                match self.wait_for_channel(&mut stopping).await {
+                // It joins anew, and so hears first how it stands.
+                channel = None;
+                match self.wait_for_channel(ended == Ended::Adrift, &mut stopping).await {
                     Ok(Some(back)) => channel = Some(back),
                     Ok(None) => ended = Ended::Shutdown,
                     Err(error) => {
-                        self.stand().await;
+                        self.leave().await;
                         return Err(error);
                     }
                 }
             }
-            if ended != Ended::Gone {
+            if channel.is_none() || matches!(ended, Ended::Shutdown | Ended::Unwired) {
                 self.stand().await;
                 return Ok(());
             }
@@ -102,6 +113,7 @@ impl Robot {
         let mut device = DevicePeer::start(&client, channel, self.unit.clone(), self.begin);
         // A hub that takes nothing holds up neither stops nor replies.
         let mut outlet = Outlet::new(sender(&client));
+        let mut adrift = pin!(adrift(client.state()));
         let ended = loop {
             self.send(&mut device);
             if device.machine().has_to_send() {
@@ -117,6 +129,7 @@ impl Robot {
                 biased;
                 _ = stopping.wait_for(|stop| *stop) => break Ended::Shutdown,
                 more = device.step() => if !more { break Ended::Gone },
+                () = &mut adrift, if device.is_down() => break Ended::Adrift,
                 news = self.line.heard.next() => match news {
                     Some(news) => {
                         self.hear(&mut device, news);
@@ -134,25 +147,32 @@ impl Robot {
         // It stands, whatever becomes of its gateway.
         let why = match ended {
             Ended::Gone => "its channel is gone",
+            Ended::Adrift => "its gateway has lost the hub",
             Ended::Shutdown | Ended::Unwired => "its gateway ends",
         };
         device.halt(why);
         self.send(&mut device);
         self.unit = device.machine().clone();
-        if ended != Ended::Gone {
+        if matches!(ended, Ended::Shutdown | Ended::Unwired) {
             device.end(why).await;
         }
         ended
     }
 
-    /// Keeps the robot standing until it has a place in its channel; none if the program stops before. Where another device has that, the robot
-    /// is left to it.
+    /// Keeps the robot standing until it has a place in its channel; none if the program stops before. Where another device has that, or
+    /// the hub has given this gateway up and may have let another device in, the robot is left to whoever takes it.
     async fn wait_for_channel(
         &mut self,
+        is_adrift: bool,
         stopping: &mut watch::Receiver<bool>,
     ) -> Result<Option<Channel>, ClientError> {
         let (place, occupied) = (self.place.clone(), Notify::new());
+        let mut adrift = pin!(adrift(place.client.state()));
         let enter = || async {
+            // As soon as there is a hub, and not before.
+            let mut link = place.client.state();
+            let is_there = |link: &LinkState| !matches!(link, LinkState::Trying { .. });
+            let _ = link.wait_for(is_there).await;
             let entered = place.enter().await;
             if matches!(&entered, Err(error) if error.code() == Some(&mom_client::Code::OCCUPIED)) {
                 occupied.notify_one();
@@ -160,13 +180,17 @@ impl Robot {
             entered
         };
         let mut back = pin!(come_back(enter));
-        let mut is_left = false;
+        let (mut leaves, mut is_left) = (is_adrift, false);
         loop {
-            let mut leaves = false;
+            if leaves && !is_left {
+                self.leave().await;
+                is_left = true;
+            }
             tokio::select! {
                 biased;
                 _ = stopping.wait_for(|stop| *stop) => return Ok(None),
                 () = occupied.notified(), if !is_left => leaves = true,
+                () = &mut adrift, if !is_left => leaves = true,
                 wired = self.serve_wire() => if !wired { return Ok(None) },
                 entered = &mut back => {
                     if is_left {
@@ -175,12 +199,13 @@ impl Robot {
                     return entered.map(Some);
                 }
             }
-            if leaves {
-                self.stand().await;
-                (self.line.connect)(false);
-                is_left = true;
-            }
         }
+    }
+
+    /// Has the robot stand, and hangs up: it has one base station at a time, and another one may have its channel.
+    async fn leave(&mut self) {
+        self.stand().await;
+        (self.line.connect)(false);
     }
 
     /// Waits until the robot has said that it stands, if it can be reached, and tells it again until then.
@@ -216,7 +241,8 @@ impl Robot {
                 self.unit.advance(time_since(self.begin));
                 match news {
                     Some(News::Linked) => self.unit.linked(),
-                    Some(News::Lost(_)) => self.unit.lost(),
+                    Some(News::Lost(why)) => self.unit.lost(&why),
+                    Some(News::Unreached(why)) => self.unit.unreached(&why),
                     // Nothing is under way that could fail.
                     Some(News::Reply(reply)) => drop(self.unit.heard(&reply)),
                     None => return false,
@@ -240,9 +266,18 @@ impl Robot {
             }
             News::Lost(why) => {
                 tracing::warn!(unit = self.line.unit, why, "the robot is lost");
-                device.note(Unit::lost);
+                device.note(|unit| unit.lost(&why));
                 let text = format!("robot {} is lost: {why}", self.line.unit);
                 device.fail(&DeviceError::new(ErrorName::Link, text));
+            }
+            News::Unreached(why) => {
+                tracing::warn!(
+                    unit = self.line.unit,
+                    why,
+                    "the robot is not reached, and is tried again"
+                );
+                device.note(|unit| unit.unreached(&why));
+                device.report();
             }
             News::Reply(reply) => {
                 let before = device.machine().known();
@@ -294,6 +329,20 @@ impl Robot {
         }
         status.due(device.machine().is_moving())
     }
+}
+
+/// Waits until the hub has given up all that its peer had there, and is not there to take it in again.
+async fn adrift(mut link: watch::Receiver<LinkState>) {
+    let is_lost = |link: &LinkState| matches!(link, LinkState::Trying { .. });
+    while link.wait_for(is_lost).await.is_ok() {
+        tokio::select! {
+            biased;
+            _ = link.wait_for(|link| !is_lost(link)) => {}
+            () = sleep(LOGIN) => return,
+        }
+    }
+    // A client that is closed ends its events, too.
+    std::future::pending::<()>().await;
 }
 
 /// Sends what a unit has for its robot; an error if something that was to be done was not sent, and so is not done. Questions are asked

@@ -75,6 +75,9 @@ pub(crate) fn is_stop(frame: &Frame) -> bool {
 pub(crate) struct Heard {
     entries: Receiver<Entry>,
     linked: bool,
+    /// Why it is not linked, as it was told, and who holds it, as it has said.
+    why: String,
+    holder: Option<String>,
     /// What is to be told before more is heard.
     next: VecDeque<News>,
 }
@@ -85,6 +88,8 @@ impl Heard {
         Self {
             entries,
             linked,
+            why: String::new(),
+            holder: None,
             next,
         }
     }
@@ -140,27 +145,48 @@ impl Heard {
 
     fn of(&mut self, note: Note) -> Option<News> {
         match note {
+            Note::Received(frame, _) if frame.code() == Code::HOLDER => {
+                let bytes: Vec<String> = frame.values().iter().map(ToString::to_string).collect();
+                self.holder = Some(bytes.join("."));
+                Some(News::Reply(frame))
+            }
             Note::Received(frame, _) => Some(News::Reply(frame)),
             // One that takes no more bytes for a moment is not lost.
             Note::State(State::Writable) if !self.linked => {
                 self.linked = true;
+                (self.why, self.holder) = (String::new(), None);
                 Some(News::Linked)
             }
             Note::State(State::Trying | State::Disconnected) if self.linked => {
-                self.linked = false;
-                Some(News::Lost("its connection has ended".to_owned()))
+                Some(self.lost("its connection has ended".to_owned()))
             }
-            Note::Ended(end) if self.linked => {
-                self.linked = false;
-                Some(News::Lost(end.to_string()))
+            Note::Ended(end) if self.linked => Some(self.lost(end.to_string())),
+            // That one is silent, floods or is not understood is known here alone: nothing else tells of it.
+            Note::Ended(end) => {
+                let why = match self.holder.take() {
+                    Some(holder) => format!("it has another base station, {holder}"),
+                    None => end.to_string(),
+                };
+                (why != self.why).then(|| {
+                    self.why.clone_from(&why);
+                    News::Unreached(why)
+                })
             }
             _ => None,
         }
+    }
+
+    fn lost(&mut self, why: String) -> News {
+        self.linked = false;
+        self.why.clone_from(&why);
+        News::Lost(why)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use mom_base_station::circuit::End;
+    use mom_brs::file::EXTENDED;
     use tokio::sync::broadcast;
 
     use super::*;
@@ -192,5 +218,45 @@ mod tests {
         // One that was never there is not lost.
         drop(say);
         assert_eq!(heard.next().await, None);
+    }
+
+    #[tokio::test]
+    async fn why_a_robot_is_not_reached_is_told_once_for_each_reason() {
+        let (say, entries) = broadcast::channel(64);
+        let mut heard = Heard::new(entries, false);
+        let holder = Frame::reply(EXTENDED.command("holder").expect("ours"), &[192, 168, 1, 20]);
+        let notes = [
+            Note::Ended(End::Silent),
+            Note::Ended(End::Silent),
+            Note::Ended(End::Flooding),
+            Note::Received(holder.expect("a frame"), None),
+            Note::Ended(End::Closed),
+            Note::Ended(End::Flooding),
+            Note::State(State::Writable),
+            Note::Ended(End::Silent),
+            Note::Ended(End::Silent),
+        ];
+        for note in notes {
+            say.send(entry(note)).expect("it is heard");
+        }
+        let mut told = Vec::new();
+        while let Some(news) = heard.ready() {
+            told.push(match news {
+                News::Unreached(why) => why,
+                News::Lost(why) => format!("lost: {why}"),
+                News::Linked => "linked".to_owned(),
+                News::Reply(_) => continue,
+            });
+        }
+        let floods = "the robot sends more than it is asked for";
+        let expected = [
+            "the robot is silent",
+            floods,
+            "it has another base station, 192.168.1.20",
+            floods,
+            "linked",
+            "lost: the robot is silent",
+        ];
+        assert_eq!(told, expected);
     }
 }

@@ -10,6 +10,7 @@ mod glance;
 mod hearing;
 mod listen;
 mod page;
+mod refusals;
 mod robot;
 mod status;
 

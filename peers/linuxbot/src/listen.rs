@@ -4,7 +4,7 @@ use std::future::{Future, pending};
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::pin::pin;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use mom_brs::file::EXTENDED;
@@ -16,6 +16,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, sleep_until, timeout};
 
 use crate::hearing::Hearing;
+use crate::refusals::Refusals;
 use crate::{Access, Glance, Observed, Robot};
 
 /// Bytes that are read at once; then others have their turn.
@@ -159,6 +160,16 @@ async fn stand(robot: &mut Robot, begin: Instant) {
     }
 }
 
+/// Those of all robots of this program: base stations that are not listed, and those that come second.
+static UNLISTED: Mutex<Refusals> = Mutex::new(Refusals::NONE);
+static SECOND: Mutex<Refusals> = Mutex::new(Refusals::NONE);
+
+/// Whether a refusal is worth a line, and how many before it were not.
+fn folded(refusals: &Mutex<Refusals>) -> Option<u64> {
+    let mut refusals = refusals.lock().unwrap_or_else(PoisonError::into_inner);
+    refusals.count(Instant::now())
+}
+
 /// Takes a connection, if its base station may drive and no other does.
 fn admit(
     stream: TcpStream,
@@ -169,11 +180,15 @@ fn admit(
     now: WheelTime,
 ) {
     if !options.access.admits(from.ip()) {
-        tracing::warn!(%from, "refused: this base station is not listed");
+        if let Some(untold) = folded(&UNLISTED) {
+            tracing::warn!(%from, untold, "refused: this base station is not listed");
+        }
         return;
     }
     if let Some(held) = session {
-        tracing::info!(%from, by = %held.from, "refused: another base station drives");
+        if let Some(untold) = folded(&SECOND) {
+            tracing::info!(%from, by = %held.from, untold, "refused: another base station drives");
+        }
         if options.tells_holder
             && let Some(frame) = holder(options.table, held.from.ip())
         {

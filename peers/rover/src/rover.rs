@@ -234,7 +234,9 @@ impl Rover {
     /// Whether the driver has stopped motors that should have run on, because nobody told it in time that they do.
     fn has_lapsed(&self) -> bool {
         let ended = matches!(self.doing, Doing::Motors(until) if self.held >= until);
-        self.motors != Motors::STOP && self.now > self.held && !ended
+        // One that has not taken its last stop is told that again, and has failed by that already.
+        let is_stopping = self.stop_again.is_some();
+        self.motors != Motors::STOP && self.now > self.held && !ended && !is_stopping
     }
 
     fn driver_failed(&mut self, error: &DriverError) {

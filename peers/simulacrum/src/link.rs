@@ -14,6 +14,10 @@ use tokio::time::{Instant, sleep_until, timeout};
 
 use crate::values::from_wire;
 
+mod trouble;
+
+use trouble::Way;
+
 /// A datagram is at most so long.
 const LONGEST: usize = 65_536;
 /// Notices that wait for one who listens; who is later than that is told so.
@@ -44,6 +48,7 @@ struct Shared {
     notices: broadcast::Sender<Arc<Notice>>,
     listeners: Mutex<Vec<(u8, Listener)>>,
     traffic: Mutex<Traffic>,
+    way: Mutex<Way>,
 }
 
 /// What has travelled.
@@ -105,6 +110,7 @@ impl Simulacrum {
             notices: broadcast::Sender::new(WAITING),
             listeners: Mutex::default(),
             traffic: Mutex::default(),
+            way: Mutex::default(),
         })))
     }
 
@@ -174,7 +180,7 @@ impl Simulacrum {
         self.0.listeners.lock().push((element, listener));
     }
 
-    /// All notices from now on, in order.
+    /// All notices from now on, in order. Why there is no session yet may have been told before: [`Simulacrum::trouble`].
     #[must_use]
     pub fn notices(&self) -> broadcast::Receiver<Arc<Notice>> {
         self.0.notices.subscribe()
@@ -371,6 +377,7 @@ pub async fn serve(
     shutdown: impl Future<Output = ()>,
 ) -> io::Result<()> {
     let mut shutdown = std::pin::pin!(shutdown);
+    robot.0.way.lock().leads_to(socket.peer_addr().ok());
     tokio::select! {
         failed = stay_linked(&robot, &socket) => return failed,
         () = &mut shutdown => {}
@@ -403,13 +410,14 @@ async fn exchange(robot: &Simulacrum, socket: &UdpSocket, over: impl Fn(State) -
     loop {
         while robot.next_datagram(&mut datagram) {
             // What the system does not take is lost, as in the network; a robot that is not reached is silent, and lost by that.
-            if let Err(error) = socket.try_send(&datagram)
-                && !is_passing(&error)
-            {
-                tracing::warn!(robot = robot.name(), %error, "a datagram was not sent");
+            match socket.try_send(&datagram) {
+                Err(error) if is_passing(&error) => robot.0.way.lock().fails(&error),
+                Err(error) => tracing::warn!(robot = robot.name(), %error, "a datagram was not sent"),
+                Ok(_) => {}
             }
         }
         robot.dispatch();
+        robot.tell_trouble();
         if over(robot.with(|middle| middle.state())) {
             return Ok(());
         }
@@ -425,8 +433,12 @@ async fn exchange(robot: &Simulacrum, socket: &UdpSocket, over: impl Fn(State) -
                     if let Some(datagram) = buffer.get_mut(..length) {
                         robot.receive(datagram);
                     }
+                    robot.0.way.lock().leads_on();
                 }
-                Err(error) if is_passing(&error) => break,
+                Err(error) if is_passing(&error) => {
+                    robot.0.way.lock().fails(&error);
+                    break;
+                }
                 Err(error) => return Err(error),
             }
         }

@@ -239,7 +239,9 @@ impl Robot {
     /// Obeys until the program stops, or a channel is gone: then the robot as it is, told to stand.
     async fn drive(mut self, stopping: &mut watch::Receiver<bool>) -> Option<Mirror> {
         let mut outlet = Outlet::new(sender(&self.client));
-        tracing::info!(robot = self.robot.name(), channel = %self.channel.path(), mirror = %self.mirror.path(), "a robot is ready");
+        let trouble = self.robot.trouble();
+        let session = trouble.as_deref().unwrap_or("up");
+        tracing::info!(robot = self.robot.name(), channel = %self.channel.path(), mirror = %self.mirror.path(), session, "a robot has its place at the hub");
         // Its session may be older than its place at the hub.
         if self.robot.is_up() {
             self.hear(&Notice::Up);
@@ -289,9 +291,6 @@ impl Robot {
         match notice {
             Notice::Up => tracing::info!(robot = self.robot.name(), "the robot has a session"),
             Notice::Lost => tracing::warn!(robot = self.robot.name(), "the robot is lost"),
-            Notice::Refused(refusal) => {
-                tracing::warn!(robot = self.robot.name(), %refusal, "the robot refuses a session");
-            }
             Notice::Raised { element, .. } => self.teller.raised(*element),
             Notice::Blob { element, bytes, .. } => self.hand_on(*element, bytes),
             _ => {}
@@ -337,6 +336,9 @@ impl Robot {
     }
 
     fn fail_if_failed(&mut self) {
+        if !self.device.machine().has_failed() {
+            return;
+        }
         let mut failure = None;
         self.device.note(|mirror| failure = mirror.take_failure());
         if let Some(error) = failure {

@@ -184,7 +184,13 @@ impl Mirror {
         }
     }
 
-    /// Whether something failed since this was asked last.
+    /// Whether something failed since [`Mirror::take_failure`] was called last.
+    #[must_use]
+    pub fn has_failed(&self) -> bool {
+        self.failure.is_some() || self.rover.as_ref().is_some_and(Rover::has_failed)
+    }
+
+    /// What failed since this was asked last, if something did.
     pub fn take_failure(&mut self) -> Option<DeviceError> {
         let rover = self.rover.as_mut().and_then(Rover::take_failure);
         rover.or(self.failure.take())
@@ -291,11 +297,8 @@ impl Mirror {
     }
 
     fn begin_other(&mut self, action: &Action) -> Result<Doing, DeviceError> {
-        if !self.robot.is_up() {
-            let text = format!(
-                "{} is not reached: it has no session at present",
-                self.robot.name()
-            );
+        if let Some(why) = self.robot.trouble() {
+            let text = format!("{} is not reached: {why}", self.robot.name());
             return Err(DeviceError::new(ErrorName::Link, text));
         }
         let taken = match action {
@@ -477,10 +480,14 @@ impl Machine for Mirror {
         self.moved.sample(&self.robot, self.position(), &self.wheels, at)
     }
 
-    /// `{…of its wheels, linked, period, loss, round-trip?}`: ms, a share, µs.
+    /// `{…of its wheels, linked, unreached-why?, period, loss, round-trip?}`: words, ms, a share, µs.
     fn report(&self) -> Map {
         let mut map = self.rover.as_ref().map(Machine::report).unwrap_or_default();
-        map.set("linked", self.robot.is_up());
+        let trouble = self.robot.trouble();
+        map.set("linked", trouble.is_none());
+        if let Some(why) = trouble {
+            map.set("unreached-why", why);
+        }
         let (period, loss, round_trip) = self
             .robot
             .with(|middle| (middle.period(), middle.loss(), middle.round_trip()));

@@ -99,10 +99,8 @@ impl Wheels {
     }
 
     fn unreached(&self) -> DriverError {
-        let text = format!(
-            "{} is not reached: it has no session at present",
-            self.robot.name()
-        );
+        let why = self.robot.trouble().unwrap_or_default();
+        let text = format!("{} is not reached: {why}", self.robot.name());
         DriverError::new(Fault::Link, text)
     }
 }

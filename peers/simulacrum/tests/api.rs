@@ -185,6 +185,58 @@ async fn another_model_is_refused_by_the_names_of_its_elements() {
     );
 }
 
+/// Nobody has to have listened when it was found out: it is in the state, and in what is refused, for as long as there is no session.
+#[tokio::test(flavor = "multi_thread")]
+async fn who_comes_later_is_told_why_there_is_no_session() {
+    let other = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a port");
+    let silent = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a port");
+    let (refuses, hears) = (other.local_addr(), silent.local_addr());
+    let (refuses, hears) = (refuses.expect("one"), hears.expect("one"));
+    tokio::spawn(mom_cubo::serve(other, cubo(), pending()));
+    let closed = {
+        let gone = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await.expect("a port");
+        gone.local_addr().expect("one")
+    };
+    for (address, words) in [
+        (
+            refuses,
+            "no session: the robot has another model, which differs in left-wheel".to_owned(),
+        ),
+        (closed, format!("no session: nobody listens at {closed}")),
+        (
+            hears,
+            format!("no session: nothing that counts comes from {hears}"),
+        ),
+    ] {
+        let model = mom_cubo::MODEL.replacen("range = [-500, 500]", "range = [-400, 400]", 1);
+        let model = Model::read(&model).expect("a model");
+        let mirror = Simulacrum::new("cubo", model, Settings::default()).expect("settings");
+        assert_eq!(
+            mirror.trouble().as_deref(),
+            Some("no session"),
+            "nothing is known yet"
+        );
+        tokio::spawn(serve(mirror.clone(), connected(address).await, pending()));
+        let told = async {
+            while !mirror.trouble().is_some_and(|why| why.starts_with(&words)) {
+                tokio::task::yield_now().await;
+            }
+        };
+        assert!(
+            timeout(PATIENCE, told).await.is_ok(),
+            "{words}, and it is {:?}",
+            mirror.trouble()
+        );
+        let queue = CommandQueue::new(Mirror::new(mirror.clone(), Chassis::CUBO, None));
+        let state = queue.state();
+        let why = state.report.get("unreached-why").and_then(Value::as_str);
+        assert!(why.is_some_and(|why| why.starts_with(&words)), "{why:?}");
+        assert_eq!(state.report.get("linked"), Some(&Value::from(false)));
+    }
+    let (_cubo, mirror) = pair().await;
+    assert_eq!(mirror.trouble(), None);
+}
+
 /// A middle and a robot in virtual time, with nothing between them.
 struct Bench {
     mirror: Simulacrum,

@@ -41,6 +41,8 @@ struct Rig {
     /// Arrival, datagram: to the robot, and to the middle.
     ways: [Vec<(u64, Vec<u8>)>; 2],
     events: Vec<QueueEvent>,
+    /// How often the machine failed by itself.
+    failures: usize,
     /// The robot tells nothing new of itself.
     is_numb: bool,
     /// The peer hears no notices.
@@ -76,6 +78,7 @@ impl Rig {
             random: seed | 1,
             ways: [Vec::new(), Vec::new()],
             events: Vec::new(),
+            failures: 0,
             is_numb: false,
             is_deaf: false,
             now: 0,
@@ -175,6 +178,7 @@ impl Rig {
         self.queue
             .note(time, |machine| failed = machine.take_failure(), &mut self.events);
         if let Some(error) = failed {
+            self.failures += 1;
             self.queue.fail(time, &error, &mut self.events);
         }
     }
@@ -491,6 +495,30 @@ fn of_a_program_that_stood_still_no_later_statement_begins() {
             name == ErrorName::Halted && text.contains("stood still"),
             "{text}"
         );
+    }
+}
+
+/// What is switched off is not told again and again, and ends what needs it once.
+#[test]
+fn what_is_switched_off_ends_a_statement_once_and_nothing_spins() {
+    for (element, script) in [
+        ("left-wheel", "motor 500 500 1000"),
+        ("right-wheel", "goto 3000 3000"),
+        ("pose", "goto 3000 3000"),
+        ("joints", "set joints 10 10 10"),
+        ("speaker", "play speaker song on; wait 800"),
+    ] {
+        let mut rig = Rig::new();
+        rig.submit(&format!("deactivate {element}; {script}"));
+        for ms in 0..1500 {
+            rig.step();
+            let time = rig.time();
+            let due = rig.queue.next_wake();
+            assert!(due.is_none_or(|due| due > time), "{element}, {script}: {ms} ms");
+        }
+        let failed = |event: &&QueueEvent| matches!(event, QueueEvent::Failed(..));
+        assert_eq!(rig.events.iter().filter(failed).count(), 1, "{element}, {script}");
+        assert!(rig.failures <= 1, "{element}, {script}: {}", rig.failures);
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use mom_tests::faulty::{Fault, FaultyNetwork};
 use mom_tests::programs::{PATIENCE, Running, project, run, text};
 
 /// Has the robot do something, once it is within reach of the gateway that has its channel.
@@ -52,4 +53,55 @@ fn a_gateway_without_a_place_in_the_channels_leaves_the_robots_to_the_other() {
         obeys(&hub);
     }
     drop(spare);
+}
+
+/// Its link is cut, and the one to the robot is not: the hub gives its places away after the grace, and a robot takes one base station.
+#[test]
+fn a_gateway_that_has_lost_the_hub_leaves_the_robots_to_the_other() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let fleet = folder.path().join("fleet.toml");
+    let fleet = fleet.to_str().expect("a path in text");
+    let _robot = Running::start(
+        "mom-linuxbot",
+        &["--robots", "1", "--write-fleet", fleet, "--listen", "127.0.0.1:0"],
+        &[],
+    );
+    // The same hub, with a grace that a test can wait for.
+    let lab = project().join("config");
+    let config = std::fs::read_to_string(lab.join("fleet.toml")).expect("its configuration");
+    let users = format!("users = \"{}\"", lab.join("lab-users.toml").display());
+    let config = config.replace("users = \"lab-users.toml\"", &users) + "\n[limits]\ngrace = 1000\n";
+    let file = folder.path().join("hub.toml");
+    std::fs::write(&file, config).expect("it is written");
+    let (_broker, address) = Running::broker(&file);
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    let far = address.parse().expect("an address");
+    let network = runtime.block_on(FaultyNetwork::to(far, |_| Fault::default()));
+    let hub = format!("bin://{address}");
+    let gateway = |hub: &str| {
+        Running::start(
+            "mom-gateway",
+            &[
+                "--fleet",
+                fleet,
+                "--hub",
+                hub,
+                "--manager",
+                "robot-token",
+                "--heartbeat",
+                "100",
+            ],
+            &[("MOM_PASSWORD", "gateway")],
+        )
+    };
+    let _first = gateway(&format!("bin://{}", network.address));
+    obeys(&hub);
+    let spare = gateway(&hub);
+    network.freeze(true);
+    obeys(&hub);
+    // It takes the robot again when it is back in the robot's channel.
+    network.freeze(false);
+    spare.signal("KILL");
+    spare.wait();
+    obeys(&hub);
 }

@@ -29,6 +29,16 @@ impl Backoff {
     pub(super) fn next(&mut self) -> i64 {
         let pause = self.next;
         self.next = pause.saturating_mul(2).min(self.most);
+        self.shorten(pause)
+    }
+
+    /// The longest pause at once, in µs.
+    pub(super) fn longest(&mut self) -> i64 {
+        self.next = self.most;
+        self.shorten(self.most)
+    }
+
+    fn shorten(&mut self, pause: i64) -> i64 {
         pause - self.chance.i64(0..=pause / 5)
     }
 }

@@ -6,6 +6,7 @@
 
 mod backoff;
 mod budget;
+mod faults;
 mod state;
 #[cfg(test)]
 mod tests;
@@ -19,6 +20,7 @@ use self::backoff::Backoff;
 use self::budget::Budget;
 use self::waiting::Waiting;
 
+pub use faults::Faults;
 pub use state::{End, Refusal, State, Taken};
 pub use waiting::MOST_WAITING;
 
@@ -30,6 +32,15 @@ const MOST_UNANSWERED: usize = 64;
 
 /// After so many periods without a reply to a NULL, the robot is silent.
 const SILENT_PERIODS: i64 = 3;
+
+/// A robot is left that has answered so many more times than it was asked.
+const MOST_UNASKED: u32 = 64;
+
+/// So many replies are waited for at most; whoever answers nothing may not say all that at once later.
+const MOST_OWED: u32 = 256;
+
+/// A robot is left of which there was more to be read than is read, for so long.
+const FLOOD: i64 = 3 * SECOND;
 
 /// What happened.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -117,33 +128,6 @@ impl Default for Options {
     }
 }
 
-/// What was wrong with what a robot said, since the circuit was made.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Faults {
-    /// Frames of unknown codes.
-    pub unknown: u64,
-    /// Bytes that belong to no frame, those of unknown frames among them.
-    pub bytes: u64,
-    /// How often silence cut a frame.
-    pub cut: u64,
-    /// Values that were out of range.
-    pub clamped: u64,
-    /// Replies to NULLs that were never sent.
-    pub unasked: u64,
-}
-
-impl Faults {
-    fn plus(self, more: mom_brs::Faults) -> Faults {
-        Faults {
-            unknown: self.unknown + u64::from(more.unknown),
-            bytes: self.bytes + u64::from(more.unknown_bytes) + u64::from(more.skipped),
-            cut: self.cut + u64::from(more.cut),
-            clamped: self.clamped + u64::from(more.clamped),
-            unasked: self.unasked,
-        }
-    }
-}
-
 /// Where the connection is, and what is known only there.
 #[derive(Debug)]
 enum Phase {
@@ -152,7 +136,7 @@ enum Phase {
     Pausing(i64),
     /// The attempt ends at this time.
     Connecting(i64),
-    Up(Up),
+    Up(Box<Up>),
 }
 
 /// A TCP connection.
@@ -164,12 +148,26 @@ struct Up {
     /// Whether the robot has said anything but who holds it.
     heard: bool,
     /// Since when nothing can be written.
-    blocked: Option<i64>,
+    blocked: Option<Since>,
     /// When the next NULL is due.
     next_null: i64,
     /// When the NULLs were sent that have no reply yet; replies come in this order.
-    unanswered: VecDeque<i64>,
+    unanswered: VecDeque<Since>,
+    /// How many replies are owed, and how many have come that were not, beyond those that were.
+    owed: u32,
+    unasked: u32,
+    /// Since when there has been more to read than is read.
+    flood: Option<i64>,
+    /// For how long this side was late altogether: nobody listened, so that the robot was not silent.
+    late: i64,
     waiting: Waiting,
+}
+
+/// A moment, and how late this side had been until then.
+#[derive(Clone, Copy, Debug)]
+struct Since {
+    at: i64,
+    late: i64,
 }
 
 /// The state machine of one robot's connection.
@@ -188,6 +186,8 @@ pub struct Circuit {
     status: Option<i32>,
     last_end: Option<End>,
     in_motion: bool,
+    /// When something was taken last.
+    taken: i64,
 }
 
 impl Circuit {
@@ -208,6 +208,7 @@ impl Circuit {
             status: None,
             last_end: None,
             in_motion: false,
+            taken: i64::MIN,
         }
     }
 
@@ -312,6 +313,7 @@ impl Circuit {
     /// still say that it ended. So is what is told of a connection while [`Output::Close`] or [`Output::Connect`] has not
     /// been polled: it is about an older one.
     pub fn take(&mut self, now: i64, input: Input<'_>) {
+        self.note_late(now);
         let of_connection = !matches!(
             input,
             Input::Connect | Input::Disconnect | Input::GiveUp | Input::Time
@@ -355,7 +357,8 @@ impl Circuit {
             Input::Bytes(bytes) => self.read(now, bytes),
             Input::Blocked => {
                 if let Phase::Up(up) = &mut self.phase {
-                    up.blocked.get_or_insert(now);
+                    let late = up.late;
+                    up.blocked.get_or_insert(Since { at: now, late });
                 }
             }
             Input::Unblocked => {
@@ -386,8 +389,13 @@ impl Circuit {
         } else {
             up.waiting.pop()?
         };
+        let is_answered = self.table.get(frame.code()).is_some_and(|of| of.reply.is_some());
+        up.owed = (up.owed + u32::from(is_answered)).min(MOST_OWED);
         match frame.code() {
-            Code::NULL => up.unanswered.push_back(now),
+            Code::NULL => up.unanswered.push_back(Since {
+                at: now,
+                late: up.late,
+            }),
             Code::STATUS | Code::LEDS | Code::POSE => {}
             Code::MOTOR => self.in_motion = frame.values().iter().any(|speed| *speed != 0),
             _ => self.in_motion = true,
@@ -427,8 +435,23 @@ impl Circuit {
 
     fn silent_at(&self, up: &Up) -> Option<i64> {
         let patience = self.options.null_period.saturating_mul(SILENT_PERIODS);
-        let since = up.unanswered.front().into_iter().chain(up.blocked.as_ref()).min();
-        since.map(|since| since.saturating_add(patience))
+        let since = up.unanswered.front().into_iter().chain(up.blocked.as_ref());
+        let ends = since.map(|since| {
+            since
+                .at
+                .saturating_add(patience)
+                .saturating_add(up.late - since.late)
+        });
+        ends.min()
+    }
+
+    /// Whoever drives this was stopped or had no processor if nothing was taken when it was due.
+    fn note_late(&mut self, now: i64) {
+        let due = self.next_wake().map(|due| due.max(self.taken));
+        if let (Phase::Up(up), Some(due)) = (&mut self.phase, due) {
+            up.late = up.late.saturating_add(now.saturating_sub(due).max(0));
+        }
+        self.taken = self.taken.max(now);
     }
 
     /// What is due by time alone.
@@ -460,24 +483,33 @@ impl Circuit {
     fn begin(&mut self, now: i64) {
         self.round_trip = None;
         self.status = None;
-        self.phase = Phase::Up(Up {
+        self.phase = Phase::Up(Box::new(Up {
             parser: Parser::new(self.table, Direction::Reply),
             last_bytes: now,
             heard: false,
             blocked: None,
             next_null: now,
             unanswered: VecDeque::new(),
+            owed: 0,
+            unasked: 0,
+            flood: None,
+            late: 0,
             waiting: Waiting::default(),
-        });
+        }));
     }
 
     /// The end of an attempt or a connection that is still wanted.
     fn fail(&mut self, now: i64, end: End) {
+        // One that connects, and says what nobody can use, is not tried again at once.
+        let pause = match end {
+            End::Flooding | End::Astray => self.backoff.longest(),
+            _ => self.backoff.next(),
+        };
         self.end(end);
         self.failed = self.failed.saturating_add(1);
         self.phase = match self.options.attempts {
             Some(most) if self.failed >= most => Phase::Disconnected,
-            _ => Phase::Pausing(now.saturating_add(self.backoff.next())),
+            _ => Phase::Pausing(now.saturating_add(pause)),
         };
     }
 
@@ -498,18 +530,33 @@ impl Circuit {
         if bytes.is_empty() {
             return;
         }
+        let had = self.budget.left(now);
         self.budget.spend(now, bytes.len());
+        if had.saturating_mul(2) >= self.options.read_rate as usize {
+            up.flood = None;
+        } else if self.budget.left(now) == 0 {
+            up.flood.get_or_insert(now);
+        }
         if up.last_bytes.saturating_add(self.options.idle) <= now {
             up.parser.idle();
         }
         up.last_bytes = now;
         for frame in up.parser.feed(bytes) {
             let mut round_trip = None;
+            if !frame.command().is_reply_only() {
+                match up.owed.checked_sub(1) {
+                    Some(owed) => (up.owed, up.unasked) = (owed, up.unasked.saturating_sub(1)),
+                    None => {
+                        up.unasked += 1;
+                        self.faults.unasked += 1;
+                    }
+                }
+            }
             match frame.code() {
-                Code::NULL => match up.unanswered.pop_front() {
-                    Some(sent) => round_trip = Some(now.saturating_sub(sent).max(0)),
-                    None => self.faults.unasked += 1,
-                },
+                Code::NULL => {
+                    let sent = up.unanswered.pop_front();
+                    round_trip = sent.map(|sent| now.saturating_sub(sent.at).max(0));
+                }
                 Code::STATUS => self.status = frame.values().first().copied(),
                 _ => {}
             }
@@ -526,6 +573,8 @@ impl Circuit {
         // A status or an answer found in the middle of something else is worth nothing; without its station the robot stands.
         if up.parser.astray() > MOST_ASTRAY {
             self.give_up(now, End::Astray);
+        } else if up.unasked > MOST_UNASKED || up.flood.is_some_and(|since| now - since >= FLOOD) {
+            self.give_up(now, End::Flooding);
         }
     }
 

@@ -57,10 +57,12 @@ pub enum End {
     Closed,
     /// It broke, in the words of the operating system.
     Broken(Arc<str>),
-    /// A NULL had no reply, or the robot read nothing, within three periods.
+    /// A NULL had no reply, or the robot read nothing, within three periods in which the base station listened.
     Silent,
     /// More of what it sent was skipped than was read: [`mom_brs::MOST_ASTRAY`] bytes.
     Astray,
+    /// It answered more than it was asked, or sent more than is read of a robot, for seconds.
+    Flooding,
     /// Nobody wants it any more.
     Unwanted,
 }
@@ -74,6 +76,7 @@ impl fmt::Display for End {
             End::Broken(text) => write!(f, "the connection broke: {text}"),
             End::Silent => f.write_str("the robot is silent"),
             End::Astray => f.write_str("what the robot sends is not understood"),
+            End::Flooding => f.write_str("the robot sends more than it is asked for"),
             End::Unwanted => f.write_str("disconnected on request"),
         }
     }

@@ -5,6 +5,8 @@ use proptest::prelude::*;
 
 use super::*;
 
+mod patience;
+
 const MS: i64 = 1000;
 
 /// Takes an input after all outputs were carried out, as a driver does.
@@ -440,6 +442,8 @@ fn a_robot_that_is_not_understood_is_left() {
     let mut circuit = writable();
     // What a person types, or a line end after each answer, harms nobody.
     for at in 0..100 {
+        circuit.send(frame("status", &[])).unwrap();
+        all(&mut circuit, at * MS);
         circuit.take(at * MS, Input::Bytes(b"04 00005\r\n"));
     }
     circuit.take(SECOND, Input::Bytes(&[b'?'; 60]));
@@ -452,32 +456,6 @@ fn a_robot_that_is_not_understood_is_left() {
         (circuit.last_end(), circuit.state()),
         (Some(&End::Astray), State::Trying)
     );
-}
-
-#[test]
-fn no_more_is_read_than_the_rate() {
-    let mut circuit = writable();
-    let mut read = 0;
-    let mut now = SECOND;
-    let mut wakes = 0;
-    while now < 11 * SECOND {
-        let may = circuit.may_read(now);
-        if may == 0 {
-            now = circuit.next_wake().unwrap().max(now + 1);
-            circuit.take(now, Input::Time);
-            wakes += 1;
-        } else {
-            let bytes = vec![b'0'; may.min(512)];
-            read += bytes.len();
-            circuit.take(now, Input::Bytes(&bytes));
-        }
-        all(&mut circuit, now);
-        if circuit.state() != State::Writable {
-            break;
-        }
-    }
-    assert!((10 * 4096..=11 * 4096).contains(&read), "{read}");
-    assert!(wakes < 200, "{wakes}");
 }
 
 #[test]

@@ -285,15 +285,9 @@ async fn a_robot_that_serves_somebody_else_is_connected_and_takes_no_commands() 
 }
 
 #[tokio::test]
-async fn a_flood_is_read_at_the_rate_and_harms_no_other_robot() {
+async fn a_robot_that_floods_is_hung_up_and_harms_no_other_robot() {
     let (mut loud, robot) = (Robot::start().await, Robot::start().await);
-    let read_rate = 50_000;
-    let options = Options {
-        read_rate,
-        ..Options::default()
-    };
-    let station = station(&[loud.port, robot.port], options);
-    let begun = Instant::now();
+    let station = station(&[loud.port, robot.port], Options::default());
     station.connect_all();
     writable(&station, 1).await;
     writable(&station, 2).await;
@@ -301,22 +295,15 @@ async fn a_flood_is_read_at_the_rate_and_harms_no_other_robot() {
     let mut changes = station.subscribe_to(2).expect("a unit of the fleet");
     let is_status =
         |note: &Note| matches!(note, Note::Received(reply, _) if reply.command().name == "status");
-    let mut read = 0;
-    while read < 80_000 {
+    loop {
         station.send(2, status()).unwrap();
         next_note(&mut changes, is_status).await;
-        // Two bytes each.
-        let unasked = |snapshot: &Snapshot| 2 * snapshot.faults.unasked;
-        read = unasked(&until(&station, 1, |snapshot| unasked(snapshot) > read).await);
-        // A second's worth may come at once.
-        let most = (begun.elapsed().as_secs_f64() + 1.0) * f64::from(read_rate);
-        assert!(read as f64 <= most, "{read} bytes, {most} allowed");
+        let loud = station.snapshot().swap_remove(0);
+        assert!(loud.faults.unasked < 4096, "{:?}", loud.faults);
+        if loud.last_end == Some(End::Flooding) {
+            break;
+        }
     }
-    assert_eq!(
-        station.snapshot()[0].state,
-        State::Writable,
-        "what is said in between counts"
-    );
 }
 
 #[tokio::test]

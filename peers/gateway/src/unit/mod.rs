@@ -8,8 +8,11 @@ use mom_device::{DeviceError, DeviceTime, ErrorName, Machine, Sample, Script, Wo
 use mom_fleet::Action;
 use mom_linuxbot::Status;
 
+mod orders;
 #[cfg(test)]
 mod tests;
+
+use orders::frames;
 
 /// µs between two questions for pose and status while the robot moves. They feed its watchdog too.
 const LIVELY: DeviceTime = 100_000;
@@ -22,8 +25,6 @@ const SETTLES: DeviceTime = 500_000;
 const MOST_ASKED: usize = 8;
 /// One that moves and answers nothing for so long is given up, with what is under way to it: it would be carried out late.
 const UNANSWERED: DeviceTime = 1_000_000;
-/// The most points of one statement; the robot keeps 64.
-const MOST_POINTS: usize = 64;
 
 /// A robot behind its gateway.
 ///
@@ -41,12 +42,17 @@ pub struct Unit {
     now: DeviceTime,
     /// Whether the robot takes commands.
     linked: bool,
-    /// Since when it does not.
+    /// Since when it does not, and why.
     unlinked: DeviceTime,
+    why: Option<String>,
+    /// Whether it has said on this connection where it is, as robots of ours do: the bits of its status are ours then.
+    is_ours: bool,
+    /// For how long the gateway was late altogether, so that nobody listened.
+    late: DeviceTime,
     /// What is to be sent, in order.
     out: Vec<Frame>,
     /// What it did last say of itself, and when that was asked: what it says was so then or later.
-    status: Option<(Status, DeviceTime)>,
+    status: Option<Told>,
     pose: Option<(Pose, DeviceTime)>,
     /// When that came.
     posed: DeviceTime,
@@ -84,11 +90,22 @@ pub(crate) struct Pose {
     heading: i32,
 }
 
+/// What it said of itself.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Told {
+    status: Status,
+    /// Whether its bits are ours; else it says no more than that it answers.
+    is_ours: bool,
+    asked: DeviceTime,
+}
+
 /// A question for its status.
 #[derive(Debug, Clone, Copy)]
 struct Question {
     number: u64,
     at: DeviceTime,
+    /// How late the gateway had been until then.
+    late: DeviceTime,
 }
 
 /// Motors that were set.
@@ -123,6 +140,9 @@ impl Unit {
             now: 0,
             linked: false,
             unlinked: 0,
+            why: None,
+            is_ours: false,
+            late: 0,
             out: Vec::new(),
             status: None,
             pose: None,
@@ -169,14 +189,16 @@ impl Unit {
 
     fn overdue_at(&self) -> Option<DeviceTime> {
         let oldest = self.asked_status.front().filter(|_| self.drives())?;
-        Some(oldest.at.saturating_add(UNANSWERED))
+        // A gateway that was stopped or had no processor did not hear its answers.
+        let excused = self.late - oldest.late;
+        Some(oldest.at.saturating_add(UNANSWERED).saturating_add(excused))
     }
 
     /// Whether it was told to move, or said last that it does.
     fn drives(&self) -> bool {
         let said = self
             .status
-            .is_some_and(|(status, _)| status.moving || status.on_its_way);
+            .is_some_and(|told| told.status.moving || told.status.on_its_way);
         self.is_driven() || said
     }
 
@@ -200,22 +222,28 @@ impl Unit {
     /// What it said of itself, but for what changes with each reply: where it is, what its status tells, its LEDs, and whether it is linked.
     pub(crate) fn known(&self) -> (Option<Pose>, Option<Status>, i32, bool) {
         let pose = self.pose.map(|(pose, _)| pose);
-        let status = self.status.map(|(status, _)| status);
+        let status = self.status.map(|told| told.status);
         (pose, status, self.leds, self.linked)
     }
 
     /// The robot takes commands: it is told to stand, whatever it was doing, and asked how it is.
     pub fn linked(&mut self) {
-        self.linked = true;
+        (self.linked, self.is_ours, self.why) = (true, false, None);
         self.stand();
         self.ask_now();
     }
 
-    /// The robot's connection is lost. What it does now is its own watchdog's business; what was known of it grows old.
-    pub fn lost(&mut self) {
+    /// The robot could not be reached, for this reason.
+    pub fn unreached(&mut self, why: &str) {
+        self.why = Some(why.to_owned());
+    }
+
+    /// The robot's connection is lost, for this reason. What it does now is its own watchdog's business; what was known of it grows old.
+    pub fn lost(&mut self, why: &str) {
         if self.linked {
             self.unlinked = self.now;
         }
+        self.unreached(why);
         (self.linked, self.rests) = (false, false);
         self.given_up();
         self.doing = Doing::Nothing;
@@ -234,13 +262,22 @@ impl Unit {
                     return Ok(());
                 };
                 self.round_trip = Some(self.now - asked.at);
-                let status = Status::from_bits(bits);
-                self.status = Some((status, asked.at));
+                // The paper leaves the bits to each robot: what ours mean says nothing of others'.
+                let status = match self.is_ours {
+                    true => Status::from_bits(bits),
+                    false => Status::default(),
+                };
+                self.status = Some(Told {
+                    status,
+                    is_ours: self.is_ours,
+                    asked: asked.at,
+                });
                 self.has_gauge |= status.battery > 0;
                 self.insist(status, asked.number);
                 self.arrived(status, asked.number)
             }
             (Code::POSE, &[x, y, heading]) => {
+                self.is_ours = true;
                 if let Some(asked) = self.asked_pose.pop_front() {
                     self.pose = Some((Pose { x, y, heading }, asked));
                     self.posed = self.now;
@@ -303,6 +340,10 @@ impl Unit {
         if asked < question || status.on_its_way {
             return Ok(());
         }
+        if !self.is_ours {
+            self.stand();
+            return Err(self.says_no_way());
+        }
         if status.gave_up {
             self.doing = Doing::Nothing;
             let why = match status.switches {
@@ -323,25 +364,19 @@ impl Unit {
         Ok(())
     }
 
-    fn follows_nobody(&self) -> DeviceError {
+    fn says_no_way(&self) -> DeviceError {
         let text = format!(
-            "robot {} hears its gateway alone; `follow` is for robots that are peers themselves (mom-rover)",
+            "robot {} does not say whether it is on its way in a status that this gateway knows, so nobody would know when it is there; drive it by `motor`",
             self.number
         );
-        DeviceError::new(ErrorName::Syntax, text)
+        DeviceError::new(ErrorName::Link, text)
     }
 
-    fn say(&mut self, code: Code, values: &[i32]) -> Result<(), DeviceError> {
-        let frame = self
-            .table
-            .get(code)
-            .and_then(|command| Frame::new(command, values).ok());
-        let frame = frame.ok_or_else(|| {
-            let text = format!("the robots of this gateway know no command {code:?} of such values");
-            DeviceError::new(ErrorName::Syntax, text)
-        })?;
-        self.out.push(frame);
-        Ok(())
+    /// Time passes; what was due before was due to a gateway that was not there.
+    fn pass(&mut self, now: DeviceTime) {
+        let due = self.next_wake().unwrap_or(now).max(self.now);
+        self.late = self.late.saturating_add((now - due).max(0));
+        self.now = now;
     }
 
     /// Has the robot stand. That it does is told by what it replies.
@@ -372,14 +407,22 @@ impl Unit {
         if !self.linked || self.asked_status.len() >= MOST_ASKED {
             return;
         }
-        if self.say(Code::POSE, &[]).is_ok() {
+        if self.ask(Code::POSE) {
             self.asked_pose.push_back(self.now);
         }
-        if self.say(Code::STATUS, &[]).is_ok() {
-            let (number, at) = (self.question, self.now);
-            self.asked_status.push_back(Question { number, at });
+        if self.ask(Code::STATUS) {
+            let (number, at, late) = (self.question, self.now, self.late);
+            self.asked_status.push_back(Question { number, at, late });
             self.question += 1;
         }
+    }
+
+    /// Asks, if its robots know that question.
+    fn ask(&mut self, code: Code) -> bool {
+        let command = self.table.get(code);
+        let frame = command.and_then(|command| Frame::new(command, &[]).ok());
+        self.out.extend(frame);
+        frame.is_some()
     }
 }
 
@@ -410,31 +453,29 @@ impl Machine for Unit {
 
     fn plan(&mut self, script: &Script<Action>) -> Result<(), DeviceError> {
         if !self.linked {
-            let text = format!("robot {} is not connected to its gateway", self.number);
+            let why = self.why.as_deref().unwrap_or("it has not answered yet");
+            let text = format!("robot {} is not connected to its gateway: {why}", self.number);
             return Err(DeviceError::new(ErrorName::Link, text));
         }
         for (action, number) in script.actions() {
-            if let Action::Follow { .. } = action {
-                return Err(self.follows_nobody().at_statement(number));
-            }
-            if let Action::Drive(points) = action
-                && points.len() > MOST_POINTS
-            {
-                let text = format!("a way has at most {MOST_POINTS} points, not {}", points.len());
-                return Err(DeviceError::new(ErrorName::WorkspaceBoundary, text).at_statement(number));
+            let known = frames(self.number, self.table, action);
+            known.map_err(|error| error.at_statement(number))?;
+            if matches!(action, Action::Drive(_)) && self.status.is_some_and(|told| !told.is_ours) {
+                return Err(self.says_no_way().at_statement(number));
             }
         }
         Ok(())
     }
 
     fn begin(&mut self, action: &Action, now: DeviceTime) -> Result<(), DeviceError> {
-        self.now = now;
+        self.pass(now);
+        let frames = frames(self.number, self.table, action)?;
         if self.motors.take().is_some() && !matches!(action, Action::Motor { .. }) {
             self.stand();
         }
+        self.out.extend(frames);
         self.doing = match action {
-            Action::Motor { left, right, ms } => {
-                self.say(Code::MOTOR, &[*left, *right])?;
+            Action::Motor { ms, .. } => {
                 let until = now.saturating_add(DeviceTime::from(*ms) * 1000);
                 let question = self.question;
                 self.motors = Some(Motors { until, question });
@@ -444,16 +485,10 @@ impl Machine for Unit {
                 self.ask = self.ask.min(now.saturating_add(LIVELY));
                 return Ok(());
             }
-            Action::Follow { .. } => return Err(self.follows_nobody()),
-            Action::Leds(data) => {
-                self.say(Code::LEDS, &[*data])?;
-                Doing::Shows { leds: *data }
-            }
-            Action::Drive(points) => {
-                for ((x, y), number) in points.iter().zip(0..) {
-                    let code = if number == 0 { Code::GOTO } else { Code::VIA };
-                    self.say(code, &[*x, *y])?;
-                }
+            Action::Leds(data) => Doing::Shows { leds: *data },
+            // Planned, so that it is none of these.
+            Action::Follow { .. } => Doing::Nothing,
+            Action::Drive(_) => {
                 (self.insists, self.rests) = (false, false);
                 Doing::Drives {
                     question: self.question,
@@ -472,13 +507,13 @@ impl Machine for Unit {
     }
 
     fn halt(&mut self, now: DeviceTime) {
-        self.now = now;
+        self.pass(now);
         self.stand();
         self.ask_now();
     }
 
     fn advance(&mut self, now: DeviceTime) {
-        self.now = now;
+        self.pass(now);
         // Later than its end by a moment, so that a `motor` that follows at once sets other values without a stop between.
         if self.motors.is_some_and(|motors| now > motors.until) {
             self.stand();
@@ -505,7 +540,7 @@ impl Machine for Unit {
 
     /// When the oldest part of what it told was asked.
     fn known_at(&self) -> Option<DeviceTime> {
-        let status = self.status.map(|(_, asked)| asked);
+        let status = self.status.map(|told| told.asked);
         let pose = self.pose.map(|(_, asked)| asked);
         match (status, pose) {
             (Some(status), Some(pose)) => Some(status.min(pose)),
@@ -529,8 +564,8 @@ impl Machine for Unit {
         }
     }
 
-    /// `{unit, linked, reached, unreached-since?, leds, battery?, switches?, expired?, round-trip?}`: µs since 1970, percent, a mask of bits, µs.
-    /// What is told of one that is not reached is what it said last, but for its motion, of which nobody knows.
+    /// `{unit, linked, reached, unreached-since?, unreached-why?, leds, battery?, switches?, expired?, round-trip?}`: µs since 1970, words,
+    /// percent, a mask of bits, µs. What is told of one that is not reached is what it said last, but for its motion, of which nobody knows.
     fn report(&self) -> Map {
         let mut map = Map::new()
             .with("unit", i64::from(self.number))
@@ -540,7 +575,10 @@ impl Machine for Unit {
         if let Some(epoch) = self.epoch.filter(|_| !self.linked) {
             map.set("unreached-since", epoch.saturating_add(self.unlinked));
         }
-        if let Some((status, _)) = self.status {
+        if let Some(why) = self.why.as_deref().filter(|_| !self.linked) {
+            map.set("unreached-why", why);
+        }
+        if let Some(Told { status, .. }) = self.status.filter(|told| told.is_ours) {
             map.set("battery", i64::from(status.battery));
             map.set("switches", i64::from(status.switches));
             map.set("expired", status.expired);

@@ -9,6 +9,8 @@ use proptest::prelude::*;
 
 use super::*;
 
+mod wire;
+
 const MS: DeviceTime = 1000;
 
 /// A unit and its robot, with a link between them that takes its time.
@@ -311,7 +313,7 @@ fn a_lost_robot_takes_no_command_and_stands_when_it_is_back() {
     pair.command("motor 100 100 60000").expect("it is taken");
     pair.pass(100 * MS);
     assert!(pair.moves());
-    pair.note(Unit::lost);
+    pair.note(|unit| unit.lost("it is gone"));
     let error = DeviceError::new(ErrorName::Link, "it is gone");
     pair.queue.fail(pair.now, &error, &mut pair.events);
     assert_eq!(pair.ended(), ["link"]);
@@ -389,7 +391,7 @@ fn a_robot_that_cannot_be_reached_is_not_said_to_stand() {
     assert_eq!(said(&pair), (true, Some(true), None), "it has not answered yet");
     pair.pass(2000 * MS);
     assert_eq!(said(&pair), (false, Some(true), None));
-    pair.note(Unit::lost);
+    pair.note(|unit| unit.lost("it is gone"));
     pair.pass(9000 * MS);
     assert_eq!(said(&pair), (true, Some(false), Some(3_000_000)));
     // Nor is it after a halt, which is not said to anybody.

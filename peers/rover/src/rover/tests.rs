@@ -215,6 +215,29 @@ fn stubborn() -> (Stage, Arc<AtomicUsize>, Arc<AtomicUsize>) {
     (stage, refuses, stops)
 }
 
+/// The motors were to run until then; that they may run on is told already.
+#[test]
+fn a_driver_that_takes_no_stop_fails_once_however_long_that_lasts() {
+    let (mut stage, refuses, given) = stubborn();
+    stage.command("motor 100 100 60000").expect("it can");
+    stage.pass(300 * MS);
+    refuses.store(1_000_000, Ordering::Relaxed);
+    let before = given.load(Ordering::Relaxed);
+    stage.queue.halt(stage.now, "a test", &mut stage.events);
+    let mut failures = 0;
+    for ms in 300..3300 {
+        stage.pass(ms * MS);
+        stage.queue.note(
+            stage.now,
+            |rover| failures += usize::from(rover.take_failure().is_some()),
+            &mut stage.events,
+        );
+    }
+    let given = given.load(Ordering::Relaxed) - before;
+    assert_eq!(failures, 1);
+    assert!((40..=61).contains(&given), "{given} stops in three seconds");
+}
+
 #[test]
 fn a_stop_that_the_driver_refuses_is_given_again_and_not_done_before() {
     type Stop = fn(&mut Stage);

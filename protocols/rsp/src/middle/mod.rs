@@ -169,6 +169,18 @@ impl<'m> Middle<'m> {
         }
     }
 
+    /// Since when it asks for a session, µs; none while it does not, or has not begun to.
+    #[must_use]
+    pub fn calling_since(&self) -> Option<u64> {
+        self.called.filter(|_| self.state == State::Calling)
+    }
+
+    /// Why the robot gives no session, as it said last since then.
+    #[must_use]
+    pub fn refusal(&self) -> Option<&Refusal> {
+        self.refused.as_ref().filter(|_| self.state == State::Calling)
+    }
+
     /// What happened, oldest first.
     pub fn next_notice(&mut self) -> Option<Notice> {
         let notice = self.notices.pop_front()?;

@@ -15,7 +15,8 @@ pub enum Notice {
     Lost,
     /// The session was ended, by either end; nothing is asked for until [`start`](super::Middle::start).
     Ended,
-    /// The robot gives no session; it is asked again. Told once for each reason in a row.
+    /// The robot gives no session; it is asked again. Told once for each reason in a row; who comes later asks for
+    /// [`refusal`](super::Middle::refusal).
     Refused(Refusal),
     /// A sensor or monitor was heard: [`read`](super::Middle::read) it. At most one waits for each element.
     Changed {
