@@ -1,6 +1,7 @@
 //! The middle of one robot on its socket, and the Robot API (S7, S8).
 
 use std::io;
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -14,8 +15,10 @@ use tokio::time::{Instant, sleep_until, timeout};
 
 use crate::values::from_wire;
 
+mod pace;
 mod trouble;
 
+use pace::Pace;
 use trouble::Way;
 
 /// A datagram is at most so long.
@@ -49,6 +52,8 @@ struct Shared {
     listeners: Mutex<Vec<(u8, Listener)>>,
     traffic: Mutex<Traffic>,
     way: Mutex<Way>,
+    /// Chooses the period, where nobody has said one.
+    pace: Mutex<Option<Pace>>,
 }
 
 /// What has travelled.
@@ -111,6 +116,7 @@ impl Simulacrum {
             listeners: Mutex::default(),
             traffic: Mutex::default(),
             way: Mutex::default(),
+            pace: Mutex::default(),
         })))
     }
 
@@ -207,12 +213,45 @@ impl Simulacrum {
         self.0.hurry.notify_one();
     }
 
-    /// Changes the time between two packets, ms (S10).
+    /// From now on the middle chooses the time between two packets itself, ms, from the loss and the round trip that it measures (S10).
+    pub fn choose_period(&self, among: RangeInclusive<u16>) {
+        *self.0.pace.lock() = Some(Pace::new(among));
+    }
+
+    /// Changes the time between two packets, ms (S10); from now on the middle chooses none itself.
     ///
     /// # Errors
     ///
     /// One that is out of its range.
     pub fn set_period(&self, ms: u16) -> Result<(), Refused> {
+        *self.0.pace.lock() = None;
+        self.take_period(ms)
+    }
+
+    /// Looks whether another period is better.
+    fn look_at_period(&self) {
+        let (now, mut pace) = (self.now(), self.0.pace.lock());
+        let Some(pace) = pace.as_mut().filter(|_| self.is_up()) else {
+            return;
+        };
+        let measured = self.with(|middle| (middle.period(), middle.loss(), middle.round_trip()));
+        let (period, loss, round_trip) = measured;
+        if let Some(ms) = pace.next(now, period, loss, round_trip) {
+            tracing::info!(
+                robot = self.name(),
+                ms,
+                before = period,
+                loss,
+                round_trip,
+                "another period"
+            );
+            if let Err(error) = self.take_period(ms) {
+                tracing::error!(robot = self.name(), ms, %error, "the period stays");
+            }
+        }
+    }
+
+    fn take_period(&self, ms: u16) -> Result<(), Refused> {
         let budget = budget(self.model(), self.0.pictures, ms);
         self.with(|middle| {
             middle.set_period(ms)?;
@@ -418,6 +457,7 @@ async fn exchange(robot: &Simulacrum, socket: &UdpSocket, over: impl Fn(State) -
         }
         robot.dispatch();
         robot.tell_trouble();
+        robot.look_at_period();
         if over(robot.with(|middle| middle.state())) {
             return Ok(());
         }

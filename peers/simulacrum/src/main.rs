@@ -1,14 +1,15 @@
 //! The gateway of thin robots as a program of its own.
 
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::pin::pin;
 
 use anyhow::{Context, anyhow};
 use clap::Parser;
 use mom_program::{HubArgs, begin, shutdown};
-use mom_rsp::Key;
 use mom_rsp::middle::Settings;
+use mom_rsp::{Key, PERIODS};
 use mom_rsp_model::Model;
 use mom_simulacrum::{RobotLine, Simulacrum, SimulacrumOptions, chassis, run, serve};
 use mom_wheels::Chassis;
@@ -20,7 +21,7 @@ const EXAMPLES: &str = "\
 Examples:
   MOM_PASSWORD=gateway mom-simulacrum --model config/cubo.toml --robot /cubo=192.168.1.20:7700 --robot-key cubo.key
   mom-simulacrum --model config/cubo.toml --robot /fleet/12=127.0.0.1:7700 --user gateway --key gateway.key
-  MOM_PASSWORD=gateway mom-simulacrum --model config/cubo.toml --robot /cubo=127.0.0.1:7700 --period 40 --paper
+  MOM_PASSWORD=gateway mom-simulacrum --model config/cubo.toml --robot /cubo=127.0.0.1:7700 --period 20-40 --paper
 
 A robot is the session that --robot names, with the channels robot and simulacrum and the token token, which are made where they are missing.
 Whoever holds the token drives it with set, do, activate and, if it has wheels, as the robots of a fleet (mom run --help). A robot's key is 32
@@ -41,9 +42,9 @@ struct SimulacrumArgs {
     /// A file with the key that these robots share with this program
     #[arg(long, value_name = "FILE")]
     robot_key: Option<PathBuf>,
-    /// Time between two packets, ms; that of the model without it
-    #[arg(long, value_name = "MS")]
-    period: Option<u16>,
+    /// Time between two packets, ms; that of the model without it. Of two, 20-40, the middle chooses by the loss and the delay that it measures
+    #[arg(long, value_name = "MS[-MS]", value_parser = periods)]
+    period: Option<RangeInclusive<u16>>,
     /// ms without a packet after which a robot is lost
     #[arg(long, value_name = "MS", default_value = "500", value_parser = clap::value_parser!(u16).range(50..=10_000))]
     silence: u16,
@@ -58,6 +59,18 @@ struct SimulacrumArgs {
     manager: Option<String>,
     #[command(flatten)]
     hub: HubArgs,
+}
+
+/// One period, or the shortest and the longest.
+fn periods(text: &str) -> anyhow::Result<RangeInclusive<u16>> {
+    let (least, most) = text.split_once('-').unwrap_or((text, text));
+    let ms = |word: &str| word.trim().parse::<u16>().ok().filter(|ms| PERIODS.contains(ms));
+    match (ms(least), ms(most)) {
+        (Some(least), Some(most)) if least <= most => Ok(least..=most),
+        _ => anyhow::bail!(
+            "a period is from 1 to 200 ms, such as 40, or two of them, the shorter first, such as 20-40"
+        ),
+    }
 }
 
 fn place(text: &str) -> anyhow::Result<(String, SocketAddr)> {
@@ -120,7 +133,10 @@ async fn robots(args: &SimulacrumArgs) -> anyhow::Result<(Vec<RobotLine>, Vec<Ud
     let chassis = chassis(&model, args.wheel_base).context("--wheel-base and the model's wheels")?;
     let settings = Settings {
         key: args.robot_key.as_deref().map(key).transpose()?,
-        period: args.period.unwrap_or(model.period()),
+        period: args
+            .period
+            .as_ref()
+            .map_or(model.period(), |range| *range.start()),
         paper: args.paper,
         silence: args.silence,
         ..Settings::default()
@@ -139,6 +155,9 @@ async fn robots(args: &SimulacrumArgs) -> anyhow::Result<(Vec<RobotLine>, Vec<Ud
             .with_context(|| format!("there is no way to {address}"))?;
         sockets.push(socket);
         let robot = Simulacrum::new(path, model.clone(), settings.clone())?;
+        if let Some(range) = args.period.clone().filter(|range| range.start() < range.end()) {
+            robot.choose_period(range);
+        }
         lines.push(RobotLine {
             robot,
             path: path.clone(),

@@ -321,6 +321,22 @@ async fn it_drives_through_a_bad_network() {
     guard.release().await.expect("it was had");
 }
 
+/// S10: where much is lost the middle sends less often, and as before where that does not help.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_middle_chooses_the_period() {
+    let stage = Stage::new(&["--period", "20-40"]).await;
+    let alice = stage.arrive("alice").await;
+    let (_, mut events) = linked(&alice).await;
+    let period = |ms: i64| move |state: &Value| state.get("period").and_then(Value::as_int) == Some(ms);
+    told(&mut events, period(20)).await;
+    stage.network.set(Weather {
+        loss: 0.2,
+        ..Weather::default()
+    });
+    told(&mut events, period(40)).await;
+    told(&mut events, period(20)).await;
+}
+
 /// What alice is told who sends this to robot 1, with a file.
 fn send(hub: &str, script: &str, file: &str) -> Output {
     let words = [
