@@ -15,7 +15,7 @@ use clap::Parser;
 use mom_brs::{Table, file};
 use mom_linuxbot::{Access, Options, Page, Robot, Rules, serve_observed, serve_page};
 use mom_trace::Trace;
-use mom_wheels::{Chassis, Driver, Simulated, Traced, Watchdog, WheelTime};
+use mom_wheels::{Chassis, Driver, Point, Pose, Simulated, Traced, Watchdog, WheelTime};
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::watch;
@@ -68,6 +68,9 @@ struct LinuxbotArgs {
     /// What is in their batteries, in percent
     #[arg(long, value_name = "PERCENT", default_value = "100", value_parser = clap::value_parser!(u8).range(0..=100))]
     battery: u8,
+    /// Each has a charger where it begins, which fills its battery while it stands there
+    #[arg(long)]
+    chargers: bool,
     /// Write the addresses into this file, as mom-base-station --fleet reads it
     #[arg(long, value_name = "FILE")]
     write_fleet: Option<PathBuf>,
@@ -139,7 +142,7 @@ async fn main() -> anyhow::Result<()> {
         .into_iter()
         .skip(usize::from(units.start() - 1));
     for ((listener, driver), unit) in listeners.into_iter().zip(drivers).zip(units) {
-        let driver = driver.with_battery(args.battery);
+        let driver = prepared(driver, &args);
         let mut seen = None;
         if let Some(page) = pages.next() {
             println!("robot {unit} has its page at http://{}/", page.local_addr()?);
@@ -188,6 +191,16 @@ fn chosen(args: &LinuxbotArgs) -> anyhow::Result<RangeInclusive<u16>> {
         args.robots
     );
     Ok(units)
+}
+
+/// This robot with its battery, and its charger where it stands.
+fn prepared(driver: Simulated, args: &LinuxbotArgs) -> Simulated {
+    let mut driver = driver.with_battery(args.battery);
+    if !args.chargers {
+        return driver;
+    }
+    let Pose { x, y, .. } = driver.pose(0);
+    driver.with_charger(Point::new(x, y))
 }
 
 /// This driver, whose way is written where that is asked for.
