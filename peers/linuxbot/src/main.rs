@@ -13,7 +13,7 @@ use std::time::Duration;
 use anyhow::Context;
 use clap::Parser;
 use mom_brs::{Table, file};
-use mom_linuxbot::{Access, Options, Page, Robot, Rules, serve_observed, serve_page};
+use mom_linuxbot::{Access, Login, Options, Page, Robot, Rules, serve_observed, serve_page};
 use mom_trace::Trace;
 use mom_wheels::{Chassis, Driver, Point, Pose, Simulated, Traced, Watchdog, WheelTime};
 use tokio::net::TcpListener;
@@ -30,6 +30,7 @@ Examples:
   mom-linuxbot --robots 10 --only 9-10 --listen 127.0.0.1:0 --write-fleet last.toml --group scouts
   mom-linuxbot --watchdog 1s --battery 40
   mom-linuxbot --web 127.0.0.1:8080
+  mom-linuxbot --listen 0.0.0.0:4000 --allow 192.168.1.5 --web 0.0.0.0:8080 --web-login page.secret
   mom-linuxbot --paper
   RUST_LOG=debug mom-linuxbot --table more-commands.toml
 
@@ -47,6 +48,9 @@ struct LinuxbotArgs {
     /// Show the robot's own page, with what it sees, here by HTTP; ports as for --listen
     #[arg(long, value_name = "ADDRESS:PORT")]
     web: Option<SocketAddr>,
+    /// The page asks for this user and password (HTTP Basic): the first line of the file is USER:PASSWORD. A page that is not on loopback needs it
+    #[arg(long, value_name = "FILE", requires = "web")]
+    web_login: Option<PathBuf>,
     /// A base station that may drive, and look at the page, by its address; again for another. Without it: those of this machine
     #[arg(long, value_name = "ADDRESS")]
     allow: Vec<IpAddr>,
@@ -123,6 +127,7 @@ async fn main() -> anyhow::Result<()> {
     let mut shutdown = pin!(shutdown()?);
     let options = options(&args)?;
     let rules = rules(&args)?;
+    let login = login(&args)?;
     let units = chosen(&args)?;
     let listeners = listen(args.listen, units.len() as u16).await?;
     let addresses = listeners
@@ -148,7 +153,7 @@ async fn main() -> anyhow::Result<()> {
             println!("robot {unit} has its page at http://{}/", page.local_addr()?);
             let (shown, observed) = Page::of(u32::from(unit), options.access.clone(), driver.floor());
             seen = Some(observed);
-            showing.spawn(serve_page(page, shown));
+            showing.spawn(serve_page(page, shown.with_login(login.clone())));
         }
         let robot = Robot::new(traced(driver, trace.take()), Chassis::LINUXBOT, rules);
         let mut stopping = stopping.clone();
@@ -179,6 +184,22 @@ async fn main() -> anyhow::Result<()> {
         keep(&mut result, ended);
     }
     result
+}
+
+/// Who may look at the page. Over a network nobody may without a password.
+fn login(args: &LinuxbotArgs) -> anyhow::Result<Option<Login>> {
+    let Some(file) = &args.web_login else {
+        let is_far = args.web.is_some_and(|web| !web.ip().to_canonical().is_loopback());
+        anyhow::ensure!(
+            !is_far,
+            "a page that is not on loopback needs --web-login FILE, whose first line is USER:PASSWORD"
+        );
+        return Ok(None);
+    };
+    let shown = file.display();
+    let text = std::fs::read_to_string(file).with_context(|| format!("{shown} cannot be read"))?;
+    let read = Login::parse(&text).map_err(|error| anyhow::anyhow!("{shown}: {error}"))?;
+    Ok(Some(read))
 }
 
 /// Which robots of its floor it is.
