@@ -9,7 +9,7 @@ mod view;
 mod watching;
 
 use std::fs;
-use std::io::{IsTerminal as _, stdout};
+use std::io::{IsTerminal as _, Write as _, stdout};
 use std::path::Path;
 
 use anyhow::{Context as _, Result, bail, ensure};
@@ -104,10 +104,11 @@ fn change(path: &Path, edit: &Edit, done: &str) -> Result<()> {
     };
     let text = edit.apply(&text).with_context(name)?;
     replace(path, &text).with_context(|| format!("cannot write {}", path.display()))?;
-    println!(
+    writeln!(
+        stdout(),
         "{done} in {}; a mom-base-station or mom-gateway that runs takes it over when it is started again",
         path.display()
-    );
+    )?;
     Ok(())
 }
 
