@@ -21,7 +21,7 @@ Examples:
   MOM_PASSWORD=arm mom-arm --zones /zone --mount 500,0,180
   RUST_LOG=debug MOM_PASSWORD=arm mom-arm --channel /robot/arm
 
-The password is that of MOM_PASSWORD, unless --password-file names a file. A key (mom keygen) is taken from
+Where its session, token or channel is missing, the arm makes it if it may. The password is that of MOM_PASSWORD, unless --password-file names a file. A key (mom keygen) is taken from
 anywhere, a password over TLS (bins://, tcps://) or loopback. Where there is no hub yet it waits. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM halt the arm and end the program.";
 
 /// The robot arm of the demonstration lab: obeys the scripts of the token's owner and tells its state.
@@ -33,6 +33,12 @@ struct ArmArgs {
     /// The channel of commands and states
     #[arg(long, value_name = "PATH", default_value = "/robot/arm")]
     channel: String,
+    /// The token that guards the channel where the arm has to make it: `token` beside the channel, if none is named
+    #[arg(long, value_name = "PATH")]
+    token: Option<String>,
+    /// The manager of that token, by its name in the hub's configuration, where the arm has to make it; without it: that of the session
+    #[arg(long, value_name = "NAME")]
+    manager: Option<String>,
     /// Refuse commands that are older than this when they begin, whatever their senders say: a time such as 500ms or 2s
     #[arg(long, value_name = "TIME", value_parser = time)]
     max_age: Option<Duration>,
@@ -92,6 +98,10 @@ async fn main() -> anyhow::Result<()> {
     };
     let options = ArmOptions {
         channel: args.channel,
+        token: args.token,
+        manager: args.manager,
+        // Whoever put it out may have started another one, and a supervisor starts it again.
+        comes_back: false,
         max_age: args.max_age,
         link_fault: args.link_fault,
         zones: args.zones,

@@ -1,11 +1,15 @@
 //! The arm as a peer: joins its channel, obeys what it hears there, and keeps out of the zones that are closed to it.
 
+use std::convert::Infallible;
 use std::future::{Future, pending};
-use std::pin::pin;
+use std::pin::{Pin, pin};
 use std::time::Duration;
 
-use mom_client::{Client, ClientError, Code, Consult, Event, LinkState, WireError};
-use mom_device::{DevicePeer, Happening};
+use mom_client::{Channel, Client, ClientError, Code, Consult, Event, LinkState, WireError};
+use mom_device::{
+    DevicePeer, DeviceTime, Happening, Machine as _, come_back, ensure_above, ensure_guarded, instant_of,
+    is_missing, sleep_or_wait, time_since,
+};
 use tokio::time::Instant;
 
 use crate::blocks::Block;
@@ -17,8 +21,14 @@ use crate::zones::{Mount, ZoneKeeper, Zones};
 /// The channel of the arm.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ArmOptions {
-    /// The channel of its commands and states; its session is joined first.
+    /// The channel of its commands and states; its session is joined first. Where it is missing the arm makes it, if it may.
     pub channel: String,
+    /// The token that guards a channel that the arm makes; none: `token`, beside the channel.
+    pub token: Option<String>,
+    /// The manager of that token, if it is made; none: that of the session.
+    pub manager: Option<String>,
+    /// When it is put out of its channel, or that goes, it stands until it may be there again, instead of ending.
+    pub comes_back: bool,
     /// How old a command may be when it begins, whatever its sender says; none: as old as it likes.
     pub max_age: Option<Duration>,
     /// A fault of the simulated link between the program and the controller (M53), to try what happens then.
@@ -36,6 +46,9 @@ impl Default for ArmOptions {
     fn default() -> Self {
         Self {
             channel: "/robot/arm".to_owned(),
+            token: None,
+            manager: None,
+            comes_back: true,
             max_age: None,
             link_fault: None,
             zones: None,
@@ -55,11 +68,52 @@ impl ArmOptions {
             None => controller,
         }
     }
+
+    /// Joins its channel as its device, and the zones.
+    async fn enter(&self, client: &Client) -> Result<Entered, ClientError> {
+        let channel = self.enter_channel(client).await?;
+        let zones = match &self.zones {
+            Some(session) => Some(ZoneWatch::join(client, session).await?),
+            None => None,
+        };
+        Ok((channel, zones))
+    }
+
+    /// Joins its channel as its device, after the arm has made what is missing of its contexts.
+    async fn enter_channel(&self, client: &Client) -> Result<Channel, ClientError> {
+        match client.channel_as_device(&self.channel).await {
+            Err(error) if is_missing(&error) => {}
+            entered => return entered,
+        }
+        let beside = || {
+            let session = self.channel.rsplit_once('/').map_or("", |(session, _)| session);
+            format!("{session}/token")
+        };
+        let token = self.token.clone().unwrap_or_else(beside);
+        ensure_above(client, &token).await?;
+        ensure_above(client, &self.channel).await?;
+        ensure_guarded(client, &self.channel, &token, self.manager.as_deref()).await?;
+        client.channel_as_device(&self.channel).await
+    }
+
+    /// Lets the arm come to its rest while it has no channel.
+    async fn rest(&self, arm: &mut ArmMachine, begin: Instant) -> Infallible {
+        let pace = DeviceTime::from(self.pace.clamp(1, 100));
+        loop {
+            let wake = arm.next_wake().map(|due| due.saturating_add(pace - 1) / pace);
+            sleep_or_wait(wake.map(|due| instant_of(begin, due))).await;
+            arm.advance(time_since(begin).saturating_mul(pace));
+        }
+    }
 }
+
+/// Its channel, and the zones if it keeps out of some.
+type Entered = (Channel, Option<ZoneWatch>);
 
 /// Runs the lab's simulated arm until `shutdown` is done, as [`run_arm`] does.
 ///
-/// A lost link halts the arm; the client connects again by itself, and the arm goes on with the next command.
+/// A lost link halts the arm; the client connects again by itself, and the arm goes on with the next command. [`ArmOptions::comes_back`] says
+/// what becomes of an arm that is put out of its channel.
 ///
 /// ```no_run
 /// use mom_arm::{ArmOptions, peer};
@@ -86,6 +140,8 @@ pub async fn run(
 
 /// Runs an arm, with whatever controller it has, until `shutdown` is done. Then it halts, reports that, and logs out. Its time begins at 0.
 ///
+/// Where its contexts are missing, it makes them if it may: the session, the token beside its channel, and the channel, which that guards.
+///
 /// # Errors
 ///
 /// As [`run`].
@@ -95,16 +151,58 @@ pub async fn run_arm(
     arm: ArmMachine,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), ClientError> {
-    let channel = client.channel_as_device(&options.channel).await?;
-    let mut zones = match &options.zones {
-        Some(session) => Some(ZoneWatch::join(&client, session).await?),
-        None => None,
-    };
+    let begin = Instant::now();
+    let ended = live(
+        &client,
+        &options,
+        arm.at_pace(options.pace),
+        begin,
+        pin!(shutdown),
+    )
+    .await;
+    client.close().await;
+    ended
+}
+
+async fn live(
+    client: &Client,
+    options: &ArmOptions,
+    mut arm: ArmMachine,
+    begin: Instant,
+    mut shutdown: Pin<&mut impl Future<Output = ()>>,
+) -> Result<(), ClientError> {
+    let mut entered = options.enter(client).await?;
+    loop {
+        let (left, ended) = obey(client, entered, options, arm, begin, shutdown.as_mut()).await;
+        arm = left;
+        match ended {
+            Err(error) if options.comes_back && !matches!(error, ClientError::Closed(_)) => {
+                let channel = &options.channel;
+                tracing::warn!(%error, channel, "the arm stands until it may be in its channel again");
+            }
+            ended => return ended,
+        }
+        entered = tokio::select! {
+            () = &mut shutdown => return Ok(()),
+            entered = come_back(|| options.enter(client)) => entered?,
+            never = options.rest(&mut arm, begin) => match never {},
+        };
+    }
+}
+
+/// Has the arm obey in its channel, until it hears nothing more there, or `shutdown` is done. Whatever ends it, the arm is halted.
+async fn obey(
+    client: &Client,
+    (channel, mut zones): Entered,
+    options: &ArmOptions,
+    arm: ArmMachine,
+    begin: Instant,
+    mut shutdown: Pin<&mut impl Future<Output = ()>>,
+) -> (ArmMachine, Result<(), ClientError>) {
     let mut keeper = zones
         .is_some()
         .then(|| ZoneKeeper::new(Zones::new(options.mount)));
-    let mut peer = DevicePeer::start(&client, &channel, arm.at_pace(options.pace), Instant::now())
-        .at_pace(options.pace.clamp(1, 100));
+    let mut peer = DevicePeer::start(client, &channel, arm, begin).at_pace(options.pace.clamp(1, 100));
     if let Some(max_age) = options.max_age {
         peer = peer.with_max_age(max_age);
     }
@@ -112,28 +210,28 @@ pub async fn run_arm(
         keeper.learn(peer.gate());
         close(&mut peer, keeper);
     }
-    let mut shutdown = pin!(shutdown);
     tracing::info!(peer = client.name(), channel = %channel.path(), "the arm is ready");
-    // Whatever ends it, the arm is halted.
     let result = loop {
         tokio::select! {
             () = &mut shutdown => break Ok(()),
             event = zone_event(&mut zones) => {
-                let Some(event) = event else { break Err(ended(&client, peer.put_out())) };
+                let Some(event) = event else { break Err(ended(client, peer.put_out())) };
                 hear_zone(&mut peer, keeper.as_mut(), &event);
             }
             happening = peer.wait() => {
-                let Some(happening) = happening else { break Err(ended(&client, peer.put_out())) };
+                let Some(happening) = happening else { break Err(ended(client, peer.put_out())) };
                 if matches!(happening, Happening::Event(_)) && !hear_zones(&mut peer, keeper.as_mut(), &mut zones).await {
-                    break Err(ended(&client, peer.put_out()));
+                    break Err(ended(client, peer.put_out()));
                 }
                 hear(&mut peer, keeper.as_mut(), &happening);
             },
         }
     };
-    peer.end("its program ends").await;
-    client.close().await;
-    result
+    let why = match &result {
+        Ok(()) => "its program ends".to_owned(),
+        Err(_) => peer.why_gone(),
+    };
+    (peer.leave(&why).await, result)
 }
 
 /// Takes in what has happened. Who commands is known before his command, and who does no more after the end of what he had begun.

@@ -32,6 +32,7 @@
 //! it in a second and what is remembered of it is bounded, so that one robot harms no other.
 
 pub mod circuit;
+pub mod edit;
 pub mod fleet;
 pub mod log;
 pub mod play;

@@ -18,7 +18,7 @@ Examples:
   MOM_PASSWORD=camera mom-camera --view pan
   MOM_PASSWORD=camera mom-camera --channel /camera/x --url http://10.0.0.7/video.mjpg
 
-The password is that of MOM_PASSWORD, unless --password-file names a file. A key (mom keygen) is taken from
+Where its session or channel is missing, the camera makes it if it may. The password is that of MOM_PASSWORD, unless --password-file names a file. A key (mom keygen) is taken from
 anywhere, a password over TLS (bins://, tcps://) or loopback. Where there is no hub yet it waits. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM end the program.";
 
 /// The camera of the demonstration lab: shows the robot's workspace after each of its states and on request.
@@ -43,6 +43,9 @@ struct CameraArgs {
     /// The token whose owner may change the settings; /robot/token if none is named, but /camera/pan-token for the view pan
     #[arg(long, value_name = "PATH")]
     token: Option<String>,
+    /// The manager of the token of the view pan, by its name in the hub's configuration, where the camera has to make it; without it: that of the session
+    #[arg(long, value_name = "NAME")]
+    manager: Option<String>,
     /// Images per second, at most, while the robot moves
     #[arg(long, default_value = "10")]
     rate: f64,
@@ -100,6 +103,7 @@ fn options(args: &CameraArgs) -> anyhow::Result<CameraOptions> {
     };
     Ok(CameraOptions {
         channel: args.channel.clone().unwrap_or(lab.channel),
+        manager: args.manager.clone(),
         robot: args.robot.clone(),
         token: args.token.clone().unwrap_or(lab.token),
         settings: CameraSettings::default().with(&settings)?,

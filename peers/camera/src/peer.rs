@@ -7,8 +7,9 @@ use std::pin::pin;
 use std::time::{Duration, SystemTime};
 
 use mom_client::{
-    Channel, Client, ClientError, Code, Event, LinkState, Parcel, Path, Time, Token, WireError,
+    Channel, Client, ClientError, Code, Event, LinkState, Map, Parcel, Path, Time, Token, WireError,
 };
+use mom_device::{ensure, ensure_above, ensure_guarded, is_missing};
 use mom_trace::Trace;
 use tokio::sync::watch::Receiver;
 use tokio::task::{JoinHandle, JoinSet, spawn_blocking};
@@ -29,8 +30,10 @@ const LONGEST_SNAPSHOT_PERIOD: Duration = Duration::from_secs(60);
 pub struct CameraOptions {
     /// Where the camera stands.
     pub view: View,
-    /// The channel of its images.
+    /// The channel of its images. Where it is missing the camera makes it, if it may; with [`View::Pan`] its token too.
     pub channel: String,
+    /// The manager of that token, if it is made; none: that of the session.
+    pub manager: Option<String>,
     /// The channel of the robot that it looks at.
     pub robot: String,
     /// The token whose owner may change the settings; that of [`View::Pan`] guards its commands too.
@@ -56,6 +59,7 @@ impl CameraOptions {
         Self {
             view,
             channel: format!("/camera/{view}"),
+            manager: None,
             robot: "/robot/arm".to_owned(),
             token: match view {
                 View::Pan => "/camera/pan-token".to_owned(),
@@ -107,7 +111,23 @@ impl CameraOptions {
 }
 
 impl CameraOptions {
-    /// The camera's channel.
+    /// The camera's channel, after the camera has made what is missing of its own contexts.
+    async fn enter(&self, client: &Client) -> Result<Channel, ClientError> {
+        match self.join(client).await {
+            Err(error) if is_missing(&error) => {}
+            joined => return joined,
+        }
+        ensure_above(client, &self.channel).await?;
+        match self.view {
+            View::Pan => {
+                ensure_above(client, &self.token).await?;
+                ensure_guarded(client, &self.channel, &self.token, self.manager.as_deref()).await?;
+            }
+            _ => ensure(client, &self.channel, Map::new().with("kind", "channel")).await?,
+        }
+        self.join(client).await
+    }
+
     async fn join(&self, client: &Client) -> Result<Channel, ClientError> {
         match self.view {
             // It obeys stops, and is waited for.
@@ -170,15 +190,15 @@ pub async fn run(
     let mut server = options.server()?;
     let mut keeper = CalibrationKeeper::new(options.calibration_file()?);
     server = server.calibrated(keeper.kept().cloned());
-    let channel = options.join(&client).await?;
+    let channel = options.enter(&client).await?;
     let begin = Instant::now();
     // It hears what has been said since the join: a stop may be among it.
     let mut mount = options.mount(&client, &channel, begin)?;
     let mut camera = channel.events();
-    let token = client.token(&options.token).await?;
+    let token = client.token(&options.token).await.map_err(of_the_robot)?;
     let mut owner = token.events();
     server.handle_token_info(&token.info().await?);
-    let arm = client.channel(&options.robot).await?;
+    let arm = client.channel(&options.robot).await.map_err(of_the_robot)?;
     let mut robot = arm.events();
     // The tasks end with this function.
     let mut tasks = JoinSet::new();
@@ -236,6 +256,19 @@ pub async fn run(
     keeper.finish(server.calibration()).await;
     client.close().await;
     Ok(())
+}
+
+/// Who makes a context that is missing and not the camera's own.
+fn of_the_robot(error: ClientError) -> ClientError {
+    match error {
+        ClientError::Refused(mut error) if error.code == Code::UNKNOWN_PATH => {
+            error
+                .text
+                .push_str("; the robot makes it when it starts (mom-arm), or the hub's configuration has it");
+            ClientError::Refused(error)
+        }
+        error => error,
+    }
 }
 
 /// The event, or the end of all events.

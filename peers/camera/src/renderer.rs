@@ -136,7 +136,7 @@ impl Renderer {
         draw::shadows(canvas, &scene.blocks, &gripper, &arm, &scene.pose);
         let mut solids: Vec<Solid> = scene.blocks.iter().map(block).collect();
         solids.extend(gripper);
-        // The camera on the gripper is inside these solids and would see them from within.
+        // The camera on the forearm would see these from within.
         if self.view != View::Wrist {
             solids.extend(arm);
             solids.extend(robot::wrist_camera(&tool));

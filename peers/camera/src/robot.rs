@@ -9,7 +9,6 @@ use nalgebra::{Rotation3, Vector2};
 use crate::geometry::{Direction, Point};
 use crate::scene::{Colour, DrawnGripper, DrawnPose};
 use crate::solid::{Ball, Solid};
-use crate::view::WRIST_MOUNT;
 
 /// The axis about which joint 1 turns, mm.
 const BASE: [f64; 2] = [-960.0, 0.0];
@@ -66,11 +65,6 @@ impl ToolFrame {
         self.tip + self.axes[0] * jaw + self.axes[1] * across + self.axes[2] * up
     }
 
-    /// The direction across the jaw line and the gripper's axis.
-    pub(crate) fn across(&self) -> Direction {
-        self.axes[1]
-    }
-
     fn cuboid(&self, middle: [f64; 3], half: [f64; 3], colour: Colour) -> Solid {
         let edges = std::array::from_fn(|i| self.axes[i] * half[i]);
         Solid::cuboid(self.at(middle), edges, colour)
@@ -116,17 +110,44 @@ fn marker(tool: &ToolFrame) -> [Solid; 2] {
     ]
 }
 
-/// The camera on the gripper, as the other cameras see it.
-pub(crate) fn wrist_camera(tool: &ToolFrame) -> Vec<Solid> {
-    let [jaw, across, up] = WRIST_MOUNT;
-    let (from, to) = (36.0, across - 14.0);
-    vec![
-        tool.cuboid(
-            [jaw, (from + to) / 2.0, 138.0],
-            [7.0, (to - from) / 2.0, 5.0],
-            DARK,
-        ),
-        tool.cuboid([jaw, across, up - 24.0], [18.0, 14.0, 24.0], RUBBER),
+/// Where the camera on the forearm sits: mm from the wrist back along the forearm, and below the forearm's axis.
+const MOUNT: [f64; 2] = [250.0, 90.0];
+/// How far below the forearm's direction it looks, degrees: the gripper's tip is from 8 to 26 below it.
+const MOUNT_TILT: f64 = 20.0;
+
+/// The camera on the forearm, which the third joint moves (M54).
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Mounted {
+    pub(crate) at: Point,
+    pub(crate) ahead: Direction,
+    pub(crate) up: Direction,
+}
+
+impl Mounted {
+    pub(crate) fn new(tool: &ToolFrame) -> Mounted {
+        let DrawnJoints {
+            across, along, wrist, ..
+        } = DrawnJoints::new(tool);
+        let above = along.cross(&across);
+        let (sin, cos) = MOUNT_TILT.to_radians().sin_cos();
+        let [back, below] = MOUNT;
+        Mounted {
+            at: wrist - along * back - above * below,
+            ahead: along * cos - above * sin,
+            up: along * sin + above * cos,
+        }
+    }
+}
+
+/// The camera on the forearm, as the other cameras see it.
+pub(crate) fn wrist_camera(tool: &ToolFrame) -> [Solid; 2] {
+    let Mounted { at, ahead, up } = Mounted::new(tool);
+    let DrawnJoints { across, along, .. } = DrawnJoints::new(tool);
+    let (above, body) = (along.cross(&across), at - ahead * 24.0);
+    let bracket = [along * 6.0, across * 6.0, above * 12.0];
+    [
+        Solid::cuboid(body + above * 26.0, bracket, DARK),
+        Solid::cuboid(body, [ahead * 24.0, across * 18.0, up * 14.0], RUBBER),
     ]
 }
 

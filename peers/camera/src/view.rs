@@ -6,7 +6,7 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use crate::geometry::{Direction, Point};
-use crate::robot::ToolFrame;
+use crate::robot::{Mounted, ToolFrame};
 use crate::{Camera, DrawnPose, SettingsError, pan};
 
 /// Which of the five cameras (M54, M62).
@@ -19,7 +19,7 @@ pub enum View {
     Y,
     /// Looks down on the table: x is to the right, y upwards.
     Top,
-    /// Sits on the gripper, looks at its tip and moves with the pose.
+    /// Sits on the forearm, which the third joint moves, behind the wrist; looks past the gripper's tip and moves with the pose.
     Wrist,
     /// Stands at a corner of the lab, on a mount that turns and tilts by command (M62).
     Pan,
@@ -82,9 +82,8 @@ impl View {
             View::Y => fixed([0.0, -1600.0, 760.0], [0.0, 0.0, 225.0], Direction::z(), 1.3),
             View::Top => fixed([0.0, 0.0, 3000.0], [0.0, 0.0, 0.0], Direction::y(), 2.65),
             View::Wrist => {
-                let tool = ToolFrame::new(&pose.drawable());
-                let target = tool.at([0.0, 45.0, -60.0]);
-                Camera::look(tool.at(WRIST_MOUNT), target, tool.across(), 0.72 * across, size)
+                let Mounted { at, ahead, up } = Mounted::new(&ToolFrame::new(&pose.drawable()));
+                Camera::look(at, at + ahead * 300.0, up, 0.72 * across, size)
             }
             View::Pan => pan::HOME.camera(across, size),
         }
@@ -95,9 +94,6 @@ impl View {
 pub(crate) fn across(width: u32, height: u32) -> f64 {
     f64::from(width).min(f64::from(height) * 4.0 / 3.0)
 }
-
-/// Where the wrist's camera sits in the tool's frame, mm: beside the flange, out of the way of the jaws.
-pub(crate) const WRIST_MOUNT: [f64; 3] = [0.0, 105.0, 165.0];
 
 impl fmt::Display for View {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -302,8 +302,8 @@ fn the_views_look_as_they_are_called() {
     check(View::Top, x, 1.0, 0.0);
     check(View::Top, y, 0.0, -1.0);
     check(View::Top, z, 0.0, 0.0);
-    check(View::Wrist, x, 1.0, 0.0);
-    check(View::Wrist, y, 0.0, -1.0);
+    check(View::Wrist, x, 0.0, -1.0);
+    check(View::Wrist, y, -1.0, 0.0);
     for view in View::ALL {
         assert_eq!(view.name().parse(), Ok(view));
         assert_eq!(serde_json::to_string(&view).unwrap(), format!("\"{view}\""));
@@ -312,6 +312,29 @@ fn the_views_look_as_they_are_called() {
         "z".parse::<View>().unwrap_err().to_string(),
         "there is no view \"z\"; the views are x, y, top, wrist and pan"
     );
+}
+
+/// The camera on the forearm sees the gripper's tip and what lies below it, wherever the hand is (M50, M54).
+#[test]
+fn the_camera_on_the_third_joint_sees_the_tip() {
+    for corner in 0..16 {
+        let side = |bit: i32, low: f64, high: f64| if corner >> bit & 1 == 1 { high } else { low };
+        let pose = DrawnPose {
+            x: side(0, -280.0, 280.0),
+            y: side(1, -280.0, 280.0),
+            z: side(2, 20.0, 400.0),
+            spin: side(3, 0.0, 60.0),
+            tilt: 0.0,
+        };
+        let camera = View::Wrist.camera(&pose, 640, 480);
+        for down in [0.0, 15.0] {
+            let [u, v] = camera
+                .project([pose.x, pose.y, pose.z - down])
+                .expect("it is ahead");
+            let inside = (0.0..640.0).contains(&u) && (0.0..480.0).contains(&v);
+            assert!(inside, "{pose:?}: {u:.0} {v:.0}");
+        }
+    }
 }
 
 /// All of the workspace (M50) can be seen by the fixed cameras, whatever the shape of the image.

@@ -5,8 +5,10 @@
 //! A [`Machine`] says what the device itself can do; [`CommandQueue`] carries commands out as a pure function of time, [`DeviceServer`]
 //! decides how they are answered, and [`DevicePeer`] connects it to the hub.
 
+mod back;
 mod clock;
 mod command;
+mod contexts;
 mod error;
 mod fresh;
 mod machine;
@@ -20,8 +22,10 @@ mod script;
 mod server;
 mod words;
 
+pub use back::{come_back, stay};
 pub use clock::{instant_of, sleep_or_wait, time_since};
 pub use command::{Command, Order, Progress, QueueEvent, State};
+pub use contexts::{ensure, ensure_above, ensure_guarded, ensure_session, is_missing};
 pub use error::{DeviceError, ErrorName};
 pub use machine::Machine;
 pub use outlet::{Outlet, Sending, sender};

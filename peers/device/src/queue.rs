@@ -110,6 +110,11 @@ impl<M: Machine> CommandQueue<M> {
         &self.machine
     }
 
+    /// The device itself, without its commands.
+    pub(crate) fn into_machine(self) -> M {
+        self.machine
+    }
+
     /// Lets something be done to the device that no command does, such as that news of it have come; a state follows if it moves now, or
     /// stands.
     pub fn note(&mut self, now: DeviceTime, what: impl FnOnce(&mut M), events: &mut Vec<QueueEvent>) {

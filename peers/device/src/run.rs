@@ -190,11 +190,26 @@ impl<M: Machine> DevicePeer<M> {
     }
 
     /// Halts it, lets it say so, and ends. The client stays as it is.
-    pub async fn end(mut self, reason: &str) {
+    pub async fn end(self, reason: &str) {
+        self.leave(reason).await;
+    }
+
+    /// The same, and gives the device itself back, for the next time that it has a channel.
+    pub async fn leave(mut self, reason: &str) -> M {
         self.halt(reason);
         self.send();
         if timeout(FAREWELL, self.outlet.flush()).await.is_err() {
             tracing::warn!("the last messages did not leave in time");
+        }
+        self.server.into_machine()
+    }
+
+    /// Why it hears nothing more in its channel, in words that follow "the robot stands, as".
+    #[must_use]
+    pub fn why_gone(&self) -> String {
+        match &self.put_out {
+            Some(why) => format!("it was put out of its channel: {why}"),
+            None => "its channel is gone".to_owned(),
         }
     }
 

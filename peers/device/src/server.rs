@@ -211,6 +211,11 @@ impl<M: Machine> DeviceServer<M> {
         self.queue.machine()
     }
 
+    /// The device itself, without its commands.
+    pub(crate) fn into_machine(self) -> M {
+        self.queue.into_machine()
+    }
+
     /// How it stands.
     pub fn state(&self) -> State {
         self.queue.state()

@@ -4,11 +4,10 @@
 //! of all states; [`come_back`] and [`stay`] keep it where it belongs.
 
 mod action;
-mod back;
 mod contexts;
 mod status;
 
 pub use action::{Action, PLACES};
-pub use back::{come_back, stay};
-pub use contexts::{ensure_session, enter, enter_status};
+pub use contexts::{enter, enter_status};
+pub use mom_device::{come_back, ensure_session, stay};
 pub use status::StatusTeller;

@@ -106,6 +106,7 @@ mod tests {
             on_its_way: false,
             gave_up: false,
             battery: 80,
+            charging: false,
         },
         station: None,
     };

@@ -13,9 +13,9 @@ use std::time::Duration;
 use anyhow::Context;
 use clap::Parser;
 use mom_brs::{Table, file};
-use mom_linuxbot::{Access, Options, Page, Robot, Rules, serve_observed, serve_page};
+use mom_linuxbot::{Access, Login, Options, Page, Robot, Rules, serve_observed, serve_page};
 use mom_trace::Trace;
-use mom_wheels::{Chassis, Driver, Simulated, Traced, Watchdog, WheelTime};
+use mom_wheels::{Chassis, Driver, Point, Pose, Simulated, Traced, Watchdog, WheelTime};
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::watch;
@@ -30,6 +30,7 @@ Examples:
   mom-linuxbot --robots 10 --only 9-10 --listen 127.0.0.1:0 --write-fleet last.toml --group scouts
   mom-linuxbot --watchdog 1s --battery 40
   mom-linuxbot --web 127.0.0.1:8080
+  mom-linuxbot --listen 0.0.0.0:4000 --allow 192.168.1.5 --web 0.0.0.0:8080 --web-login page.secret
   mom-linuxbot --paper
   RUST_LOG=debug mom-linuxbot --table more-commands.toml
 
@@ -47,6 +48,9 @@ struct LinuxbotArgs {
     /// Show the robot's own page, with what it sees, here by HTTP; ports as for --listen
     #[arg(long, value_name = "ADDRESS:PORT")]
     web: Option<SocketAddr>,
+    /// The page asks for this user and password (HTTP Basic): the first line of the file is USER:PASSWORD. A page that is not on loopback needs it
+    #[arg(long, value_name = "FILE", requires = "web")]
+    web_login: Option<PathBuf>,
     /// A base station that may drive, and look at the page, by its address; again for another. Without it: those of this machine
     #[arg(long, value_name = "ADDRESS")]
     allow: Vec<IpAddr>,
@@ -68,6 +72,9 @@ struct LinuxbotArgs {
     /// What is in their batteries, in percent
     #[arg(long, value_name = "PERCENT", default_value = "100", value_parser = clap::value_parser!(u8).range(0..=100))]
     battery: u8,
+    /// Each has a charger where it begins, which fills its battery while it stands there
+    #[arg(long)]
+    chargers: bool,
     /// Write the addresses into this file, as mom-base-station --fleet reads it
     #[arg(long, value_name = "FILE")]
     write_fleet: Option<PathBuf>,
@@ -120,6 +127,7 @@ async fn main() -> anyhow::Result<()> {
     let mut shutdown = pin!(shutdown()?);
     let options = options(&args)?;
     let rules = rules(&args)?;
+    let login = login(&args)?;
     let units = chosen(&args)?;
     let listeners = listen(args.listen, units.len() as u16).await?;
     let addresses = listeners
@@ -139,13 +147,13 @@ async fn main() -> anyhow::Result<()> {
         .into_iter()
         .skip(usize::from(units.start() - 1));
     for ((listener, driver), unit) in listeners.into_iter().zip(drivers).zip(units) {
-        let driver = driver.with_battery(args.battery);
+        let driver = prepared(driver, &args);
         let mut seen = None;
         if let Some(page) = pages.next() {
             println!("robot {unit} has its page at http://{}/", page.local_addr()?);
             let (shown, observed) = Page::of(u32::from(unit), options.access.clone(), driver.floor());
             seen = Some(observed);
-            showing.spawn(serve_page(page, shown));
+            showing.spawn(serve_page(page, shown.with_login(login.clone())));
         }
         let robot = Robot::new(traced(driver, trace.take()), Chassis::LINUXBOT, rules);
         let mut stopping = stopping.clone();
@@ -178,6 +186,22 @@ async fn main() -> anyhow::Result<()> {
     result
 }
 
+/// Who may look at the page. Over a network nobody may without a password.
+fn login(args: &LinuxbotArgs) -> anyhow::Result<Option<Login>> {
+    let Some(file) = &args.web_login else {
+        let is_far = args.web.is_some_and(|web| !web.ip().to_canonical().is_loopback());
+        anyhow::ensure!(
+            !is_far,
+            "a page that is not on loopback needs --web-login FILE, whose first line is USER:PASSWORD"
+        );
+        return Ok(None);
+    };
+    let shown = file.display();
+    let text = std::fs::read_to_string(file).with_context(|| format!("{shown} cannot be read"))?;
+    let read = Login::parse(&text).map_err(|error| anyhow::anyhow!("{shown}: {error}"))?;
+    Ok(Some(read))
+}
+
 /// Which robots of its floor it is.
 fn chosen(args: &LinuxbotArgs) -> anyhow::Result<RangeInclusive<u16>> {
     let units = args.only.clone().unwrap_or(1..=args.robots);
@@ -188,6 +212,16 @@ fn chosen(args: &LinuxbotArgs) -> anyhow::Result<RangeInclusive<u16>> {
         args.robots
     );
     Ok(units)
+}
+
+/// This robot with its battery, and its charger where it stands.
+fn prepared(driver: Simulated, args: &LinuxbotArgs) -> Simulated {
+    let mut driver = driver.with_battery(args.battery);
+    if !args.chargers {
+        return driver;
+    }
+    let Pose { x, y, .. } = driver.pose(0);
+    driver.with_charger(Point::new(x, y))
 }
 
 /// This driver, whose way is written where that is asked for.

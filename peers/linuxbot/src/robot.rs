@@ -241,7 +241,7 @@ impl Robot {
     /// How it stands now; `None` if its sensors cannot be read.
     pub fn status(&mut self, now: WheelTime) -> Option<Status> {
         let sensors = self.sensors(now)?;
-        Some(self.status_of(&sensors))
+        Some(self.status_of(&sensors, now))
     }
 
     /// How it is now, for those who only look; `None` if its sensors cannot be read. No base station drives it, as far as it knows.
@@ -252,13 +252,16 @@ impl Robot {
             motors: sensors.motors,
             // An empty battery makes them dark.
             leds: if sensors.battery == 0 { 0 } else { self.leds },
-            status: self.status_of(&sensors),
+            status: self.status_of(&sensors, now),
             station: None,
         })
     }
 
-    fn status_of(&self, sensors: &Sensors) -> Status {
+    fn status_of(&mut self, sensors: &Sensors, now: WheelTime) -> Status {
+        // What it cannot tell is not so.
+        let parts = self.driver.parts(now).unwrap_or_default();
         Status {
+            charging: parts.charging == Some(true),
             expired: self.expired,
             on_its_way: self.pilot.is_some(),
             gave_up: self.gave_up,

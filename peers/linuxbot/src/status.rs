@@ -12,6 +12,7 @@ use mom_wheels::{Motors, Sensors};
 /// | 6 | on its way to a point (GOTO, VIA) |
 /// | 7 | the last way to a point was given up |
 /// | 8–14 | battery, in percent |
+/// | 15 | the battery is being charged |
 ///
 /// ```
 /// use mom_linuxbot::Status;
@@ -34,6 +35,8 @@ pub struct Status {
     pub gave_up: bool,
     /// What is left in the battery, percent.
     pub battery: u8,
+    /// Whether it is being charged, as far as the robot knows.
+    pub charging: bool,
 }
 
 impl Status {
@@ -57,6 +60,7 @@ impl Status {
             | flag(self.on_its_way, 6)
             | flag(self.gave_up, 7)
             | i32::from(self.battery & 0x7f) << 8
+            | flag(self.charging, 15)
     }
 
     /// What a reply says; bits without a meaning are left out.
@@ -70,6 +74,7 @@ impl Status {
             on_its_way: flag(6),
             gave_up: flag(7),
             battery: (bits >> 8 & 0x7f) as u8,
+            charging: flag(15),
         }
     }
 }

@@ -45,7 +45,7 @@ fn look() -> Tool {
         "Look through a camera",
         "Takes a picture of the robot and its table with one of the cameras and returns it as an image, with the time when \
          it was taken, how old it is, and the pose of the arm that it shows. Needs no token. The lab's cameras are x \
-         (from the front), y (from the side), top (from above) and wrist (on the gripper, moves with it); a name that \
+         (from the front), y (from the side), top (from above) and wrist (on the forearm, moves with it); a name that \
          does not exist is answered with those that do.",
         &json!({"camera": {"type": "string", "description": "the camera's name, such as x, y, top or wrist"}}),
         &json!(["camera"]),

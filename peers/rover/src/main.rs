@@ -8,9 +8,9 @@ use anyhow::{Context, bail};
 use clap::Parser;
 use mom_client::Path;
 use mom_program::{HubArgs, begin, shutdown};
-use mom_rover::{Rover, RoverOptions, run};
+use mom_rover::{Model, Rover, RoverOptions, run};
 use mom_trace::Trace;
-use mom_wheels::{Chassis, Driver, Floor, Pose, Power, Simulated, Traced};
+use mom_wheels::{Driver, Floor, Point, Pose, Simulated, Traced};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -18,6 +18,7 @@ Examples:
   MOM_PASSWORD=rover-b mom-rover --name b --in /convoy --at 1000,1000,0
   mom-rover --path /fleet/12 --user rover-12 --key rover-12.key
   mom-rover --name a --hub bins://lab.example.org --key rover-a.key --pull 1000
+  MOM_PASSWORD=rover-a mom-rover --name a --model config/lego.toml --charger 2500,2500 --battery 40
 
 The robot is the session /rover/NAME, with the channel robot and the token token, which are made where they are missing. Whoever holds the token
 drives it with motor, goto, via, leds and wait, as the robots of a gateway, and has it follow another one with `follow rover-a 500`: the peer's
@@ -55,6 +56,21 @@ struct RoverArgs {
         default_value = "2500,2500,0"
     )]
     at: Vec<f64>,
+    /// What it is like, as config/lego.toml says it: geometry, battery, sensors; without it: the robot of the second paper
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Where its charger stands, mm, mm: it is charged while it stands there
+    #[arg(
+        long,
+        value_name = "X,Y",
+        value_delimiter = ',',
+        num_args = 1,
+        allow_hyphen_values = true
+    )]
+    charger: Vec<f64>,
+    /// What is in its battery, in percent
+    #[arg(long, value_name = "PERCENT", default_value = "100", value_parser = clap::value_parser!(u8).range(0..=100))]
+    battery: u8,
     /// The manager of its token, by its name in the hub's configuration; without it: that of the session
     #[arg(long, value_name = "NAME")]
     manager: Option<String>,
@@ -72,8 +88,8 @@ async fn main() -> anyhow::Result<()> {
     };
     let mut shutdown = pin!(shutdown()?);
     let options = options(&args)?;
-    let robot = Simulated::new(Chassis::LINUXBOT, Power::LINUXBOT, Floor::ARENA, start(&args.at)?)
-        .context("--at is a place within the walls, 100 mm from each")?;
+    let model = model(args.model.as_deref())?;
+    let robot = simulated(&model, &args)?;
     let driver: Box<dyn Driver> = match &args.trace {
         Some(file) => {
             let trace = Trace::open(file).with_context(|| format!("cannot write {}", file.display()))?;
@@ -81,7 +97,7 @@ async fn main() -> anyhow::Result<()> {
         }
         None => Box::new(robot),
     };
-    let rover = Rover::new(driver, Chassis::LINUXBOT, options.unit());
+    let rover = Rover::new(driver, model.chassis, options.unit());
     let name = options.path.rsplit('/').next().unwrap_or_default();
     args.hub.or_user(&format!("rover-{name}"));
     let login = args.hub.login("mom-rover", env!("CARGO_PKG_VERSION"))?;
@@ -117,6 +133,32 @@ fn options(args: &RoverArgs) -> anyhow::Result<RoverOptions> {
         hear: args.hear.clone(),
         pull: args.pull.map(Duration::from_millis),
     })
+}
+
+fn model(file: Option<&std::path::Path>) -> anyhow::Result<Model> {
+    let Some(file) = file else {
+        return Ok(Model::LINUXBOT);
+    };
+    let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+    Model::parse(&text).with_context(|| file.display().to_string())
+}
+
+/// The robot on its floor, with its battery and its charger.
+fn simulated(model: &Model, args: &RoverArgs) -> anyhow::Result<Simulated> {
+    let robot = Simulated::new(model.chassis, model.power, Floor::ARENA, start(&args.at)?)
+        .with_context(|| {
+            format!(
+                "--at is a place within the walls, {} mm from each",
+                model.chassis.radius
+            )
+        })?
+        .with_fittings(model.fittings)
+        .with_battery(args.battery);
+    match args.charger[..] {
+        [] => Ok(robot),
+        [x, y] if x.is_finite() && y.is_finite() => Ok(robot.with_charger(Point::new(x, y))),
+        _ => bail!("--charger takes two numbers, such as 1000,1000: mm and mm"),
+    }
 }
 
 fn start(at: &[f64]) -> anyhow::Result<Pose> {

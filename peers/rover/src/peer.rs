@@ -122,11 +122,12 @@ async fn live(
             shutdown.as_mut(),
         )
         .await;
-        if matches!(ended, Ended::Shutdown) {
+        let Ended::Gone(why) = ended else {
             return Ok(());
-        }
+        };
         tracing::warn!(
             path = options.path,
+            why,
             "the robot has no place in its channel; it stands until it has"
         );
         let back = come_back(|| enter_robot(client, options));
@@ -146,7 +147,8 @@ async fn live(
 /// Why a robot obeys no more.
 enum Ended {
     Shutdown,
-    Gone,
+    /// It was put out, or its channel is gone.
+    Gone(String),
 }
 
 /// Has it obey in its channel; afterwards it was told to stand.
@@ -184,15 +186,15 @@ async fn obey(
         tokio::select! {
             biased;
             () = &mut shutdown => break Ended::Shutdown,
-            more = device.step() => if !more { break Ended::Gone },
+            more = device.step() => if !more { break Ended::Gone(device.why_gone()) },
             Some(event) = hear.recv() => hear_pose(client, &mut device, &event),
             () = outlet.work() => {}
             () = sleep_or_wait(due) => {}
         }
     };
-    let why = match ended {
+    let why = match &ended {
         Ended::Shutdown => "its program ends",
-        Ended::Gone => "its channel is gone",
+        Ended::Gone(why) => why,
     };
     device.halt(why);
     *rover = device.machine().again();

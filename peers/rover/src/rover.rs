@@ -7,7 +7,7 @@ use mom_client::{Age, Map};
 use mom_device::{DeviceError, DeviceTime, ErrorName, Machine, Script, Word, Words};
 use mom_fleet::Action;
 use mom_wheels::pilot::{HOLD, PERIOD, Point};
-use mom_wheels::{Chassis, Driver, DriverError, Fault, Motors, Pilot, PilotEnd, Sensors};
+use mom_wheels::{Chassis, Driver, DriverError, Fault, GiveUp, Motors, Parts, Pilot, PilotEnd, Sensors};
 
 use crate::Follower;
 
@@ -18,6 +18,8 @@ mod tests;
 const SETTLES: DeviceTime = 500_000;
 /// µs until a driver that did not take a stop is told again.
 const STOPS_AGAIN: DeviceTime = 50_000;
+/// µs until a robot at rest looks what is left in its battery.
+const LOOKS_AGAIN: DeviceTime = 10_000_000;
 /// µs between two times that the driver is given while motors run as a statement says.
 const HOLDS_AGAIN: DeviceTime = 100_000;
 
@@ -35,6 +37,10 @@ pub struct Rover {
     now: DeviceTime,
     /// What it sensed last.
     sensors: Option<Sensors>,
+    /// What it sensed beside that, as far as it has such parts.
+    parts: Parts,
+    /// Whether it ever told of a charge: what tells of none has no battery that is empty.
+    has_gauge: bool,
     /// What the driver may be carrying out: what it was told last, but for a stop that it has not taken.
     motors: Motors,
     /// Until when it does so by itself.
@@ -90,6 +96,8 @@ impl Rover {
             unit,
             now: 0,
             sensors: None,
+            parts: Parts::default(),
+            has_gauge: false,
             motors: Motors::STOP,
             held: 0,
             stop_again: None,
@@ -104,7 +112,8 @@ impl Rover {
     #[must_use]
     pub fn again(&self) -> Self {
         let mut rover = Self::on(Arc::clone(&self.driver), self.chassis, self.unit);
-        (rover.now, rover.sensors) = (self.now, self.sensors);
+        (rover.now, rover.sensors, rover.parts) = (self.now, self.sensors, self.parts);
+        rover.has_gauge = self.has_gauge;
         (rover.motors, rover.held, rover.stop_again) = (self.motors, self.held, self.stop_again);
         (rover.leds, rover.settles) = (self.leds, self.settles);
         rover
@@ -242,7 +251,7 @@ impl Rover {
     fn driver_failed(&mut self, error: &DriverError) {
         self.doing = Doing::Nothing;
         let name = match error.fault() {
-            Fault::Battery => ErrorName::Obstacle,
+            Fault::Battery => ErrorName::Battery,
             _ => ErrorName::Link,
         };
         let text = format!("the robot cannot drive: {error}");
@@ -255,6 +264,10 @@ impl Rover {
             Doing::Nothing | Doing::Done(_) => {}
             // Later than its end by a moment, so that a `motor` that follows at once sets other values without a stop between.
             Doing::Motors(until) if now > *until => self.stand(),
+            Doing::Motors(_) if self.has_gauge && sensors.battery == 0 => {
+                let text = "the robot stands: its battery is empty";
+                self.fail(DeviceError::new(ErrorName::Battery, text));
+            }
             Doing::Motors(_) => {}
             Doing::Drives(pilot) => {
                 let motors = pilot.steer(sensors, now);
@@ -268,23 +281,25 @@ impl Rover {
                     Some(PilotEnd::Arrived) if !self.has_failed() => self.doing = Doing::Done(now),
                     Some(PilotEnd::Arrived) => {}
                     Some(PilotEnd::GaveUp(why)) => {
-                        let text = format!(
-                            "the robot gave its way up: {why}; drive it away from there with `motor`"
-                        );
-                        self.fail(DeviceError::new(ErrorName::Obstacle, text));
+                        let (name, advice) = match why {
+                            GiveUp::Battery { .. } => (ErrorName::Battery, ""),
+                            _ => (ErrorName::Obstacle, "; drive it away from there with `motor`"),
+                        };
+                        let text = format!("the robot gave its way up: {why}{advice}");
+                        self.fail(DeviceError::new(name, text));
                     }
                 }
             }
             Doing::Follows { follower, due } => {
                 let hindered = match sensors {
-                    Sensors { battery: 0, .. } => Some("the battery is empty"),
-                    Sensors { pose: None, .. } => Some("it does not know where it is"),
-                    Sensors { switches: 1.., .. } => Some("something is in its way"),
+                    Sensors { battery: 0, .. } => Some((ErrorName::Battery, "the battery is empty")),
+                    Sensors { pose: None, .. } => Some((ErrorName::Obstacle, "it does not know where it is")),
+                    Sensors { switches: 1.., .. } => Some((ErrorName::Obstacle, "something is in its way")),
                     _ => None,
                 };
-                if let Some(why) = hindered {
+                if let Some((name, why)) = hindered {
                     let text = format!("the robot follows {} no more: {why}", follower.leader());
-                    return self.fail(DeviceError::new(ErrorName::Obstacle, text));
+                    return self.fail(DeviceError::new(name, text));
                 }
                 if due.is_none_or(|due| due > now) {
                     return;
@@ -431,10 +446,16 @@ impl Machine for Rover {
         {
             self.hold(*until);
         }
-        let sensed = self.driver().sensors(now);
+        let sensed = {
+            let mut driver = self.driver();
+            driver
+                .sensors(now)
+                .and_then(|sensors| Ok((sensors, driver.parts(now)?)))
+        };
         match sensed {
-            Ok(sensors) => {
-                self.sensors = Some(sensors);
+            Ok((sensors, parts)) => {
+                (self.sensors, self.parts) = (Some(sensors), parts);
+                self.has_gauge |= sensors.battery > 0;
                 self.steer(&sensors);
             }
             Err(error) => {
@@ -457,8 +478,13 @@ impl Machine for Rover {
         };
         let settles = (self.stands() && self.now < self.settles).then_some(self.settles);
         // It may tell something again.
-        let deaf = self.sensors.is_none().then(|| self.now.saturating_add(PERIOD));
-        [doing, settles, self.stop_again, self.holds_again(), deaf]
+        let looks = if self.sensors.is_none() {
+            PERIOD
+        } else {
+            LOOKS_AGAIN
+        };
+        let looks = Some(self.now.saturating_add(looks));
+        [doing, settles, self.stop_again, self.holds_again(), looks]
             .into_iter()
             .flatten()
             .min()
@@ -469,8 +495,8 @@ impl Machine for Rover {
         self.pose().unwrap_or_default()
     }
 
-    /// `{unit?, linked, leds, halting?, battery?, switches?, leader?, lost-leader?, gap?}`: whether it was told to stop, and its driver has
-    /// not taken that; percent, a mask of bits; whom it follows, whether it stands because it does not know where that is, and mm along the trail between them.
+    /// `{unit?, linked, leds, halting?, battery?, switches?, charging?, light?, leader?, lost-leader?, gap?}`: whether it was told to stop, and its
+    /// driver has not taken that; percent, a mask of bits, whether the battery is being charged, percent; whom it follows, whether it stands because it does not know where that is, and mm along the trail between them.
     fn report(&self) -> Map {
         let mut map = match self.unit {
             Some(unit) => Map::new().with("unit", i64::from(unit)),
@@ -484,6 +510,12 @@ impl Machine for Rover {
         if let Some(sensors) = self.sensors {
             map.set("battery", i64::from(sensors.battery));
             map.set("switches", i64::from(sensors.switches));
+            if let Some(charging) = self.parts.charging {
+                map.set("charging", charging);
+            }
+            if let Some(light) = self.parts.light {
+                map.set("light", i64::from(light));
+            }
         }
         if let Doing::Follows { follower, .. } = &self.doing {
             map.set("leader", &**follower.leader());

@@ -78,6 +78,15 @@ pub trait Driver: Send {
     /// Why it cannot be read.
     fn sensors(&mut self, at: WheelTime) -> Result<Sensors, DriverError>;
 
+    /// Reads what only some robots have. A driver that knows of none leaves it as it is.
+    ///
+    /// # Errors
+    ///
+    /// Why it cannot be read.
+    fn parts(&mut self, _at: WheelTime) -> Result<Parts, DriverError> {
+        Ok(Parts::default())
+    }
+
     /// When something will change without a command, so that reading the sensors again is worth it: later than the
     /// latest time that was given. `None`: not before the next command.
     fn next_wake(&mut self) -> Option<WheelTime>;
@@ -178,6 +187,15 @@ pub struct Sensors {
     pub motors: Motors,
     /// Where the robot is by its odometry; `None` if it has none.
     pub pose: Option<Pose>,
+}
+
+/// What only some robots sense; `None` where a robot has no such part.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Parts {
+    /// Whether its battery is being charged.
+    pub charging: Option<bool>,
+    /// The brightness that its light sensor sees, in percent.
+    pub light: Option<u8>,
 }
 
 /// What failed at a driver.

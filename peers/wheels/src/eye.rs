@@ -89,6 +89,14 @@ pub fn draw(floor: Floor, pose: Pose) -> Vec<u8> {
     pixels
 }
 
+/// How bright the floor is there, in percent, as a sensor close above it sees it. A place beside the floor is taken to be at its edge.
+#[must_use]
+pub fn brightness(floor: Floor, x: f64, y: f64) -> u8 {
+    let Pose { x, y, .. } = pose_on(floor, Pose { x, y, heading: 0.0 });
+    let [red, green, blue] = tile(x, y);
+    ((red + green + blue) / 3.0 / 2.55).round().clamp(0.0, 100.0) as u8
+}
+
 /// A floor whose sides are numbers that a robot's distance to a wall makes a difference to.
 fn real_floor(floor: Floor) -> Floor {
     let side = |side: f64| match side.is_finite() {
@@ -170,8 +178,13 @@ fn seen(hit: &Hit, pose: Pose, row: u32) -> Rgb {
     }
     let depth = FOCAL * EYE / (row - HORIZON).max(1.0);
     let [x, y] = [pose.x + hit.ray[0] * depth, pose.y + hit.ray[1] * depth];
+    lit(tile(x, y), depth)
+}
+
+/// The colour of the floor's tile there.
+fn tile(x: f64, y: f64) -> Rgb {
     let [light, dark] = TILES;
-    lit(if is_even(x) == is_even(y) { light } else { dark }, depth)
+    if is_even(x) == is_even(y) { light } else { dark }
 }
 
 fn colour(wall: Wall) -> Rgb {

@@ -27,6 +27,8 @@
 //! | [`Power::idle`] | 8 W | assumed, for processor, disk (0.375 W in section 3) and radio |
 //! | [`Power::wheel`] | 4 W for each wheel at full speed, in proportion to its speed | assumed |
 //! | [`Power::led`] | 0.1 W for each LED that is lit | assumed, 20 mA at 5 V |
+//! | [`Power::charger`] | 40 W, so that an empty battery is full after 38 minutes at rest | assumed; W20 says only "battery monitor" |
+//! | [`simulated::DOCKED`] | 100 mm: so near its charger a robot that stands is charged | assumed |
 //! | [`simulated::STANDING`] | below 0.5 mm/s at both wheels a robot stands | assumed |
 //! | [`simulated::PRESSED`] | 50 ms, the shortest time for which a switch is pressed | assumed |
 //! | [`simulated::CELL`] | 1000 mm × 1000 mm of floor for each robot of a fleet | assumed |
@@ -45,10 +47,10 @@ pub mod simulated;
 mod traced;
 mod watchdog;
 
-pub use driver::{Driver, DriverError, Fault, MOTOR_LIMIT, Motors, Pose, Sensors, switch};
+pub use driver::{Driver, DriverError, Fault, MOTOR_LIMIT, Motors, Parts, Pose, Sensors, switch};
 pub use parameters::{Chassis, Floor, Power, SetupError};
 pub use pilot::{GiveUp, Pilot, PilotEnd, Point};
-pub use simulated::Simulated;
+pub use simulated::{Fittings, Simulated};
 pub use traced::Traced;
 pub use watchdog::Watchdog;
 

@@ -13,7 +13,7 @@ pub struct Chassis {
     pub lag: f64,
 }
 
-/// The battery, and what draws from it.
+/// The battery, what draws from it and what fills it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Power {
     /// J in a full battery.
@@ -24,6 +24,8 @@ pub struct Power {
     pub wheel: f64,
     /// W of one LED that is lit.
     pub led: f64,
+    /// W that a charger gives, of which the robot draws its own.
+    pub charger: f64,
 }
 
 impl Chassis {
@@ -71,6 +73,7 @@ impl Power {
         idle: 8.0,
         wheel: 4.0,
         led: 0.1,
+        charger: 40.0,
     };
 
     /// Whether numbers are within what can be computed.
@@ -82,7 +85,8 @@ impl Power {
         within("capacity", self.capacity, 1.0, 1e9)?;
         within("idle", self.idle, 0.0, 1e6)?;
         within("wheel", self.wheel, 0.0, 1e6)?;
-        within("led", self.led, 0.0, 1e6)
+        within("led", self.led, 0.0, 1e6)?;
+        within("charger", self.charger, 0.0, 1e6)
     }
 }
 

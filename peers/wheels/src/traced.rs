@@ -2,7 +2,7 @@
 
 use mom_trace::Trace;
 
-use crate::{Driver, DriverError, Motors, Sensors, Simulated, WheelTime};
+use crate::{Driver, DriverError, Motors, Parts, Sensors, Simulated, WheelTime};
 
 /// A simulated robot that writes where it is: x and y in mm, and where it looks, degrees.
 #[derive(Debug)]
@@ -46,6 +46,11 @@ impl Driver for Traced {
     fn sensors(&mut self, at: WheelTime) -> Result<Sensors, DriverError> {
         self.trace(at);
         self.robot.sensors(at)
+    }
+
+    fn parts(&mut self, at: WheelTime) -> Result<Parts, DriverError> {
+        self.trace(at);
+        self.robot.parts(at)
     }
 
     fn next_wake(&mut self) -> Option<WheelTime> {

@@ -39,6 +39,7 @@ mod occupied;
 #[cfg(target_os = "linux")]
 mod oracle;
 mod order;
+mod own_contexts;
 #[cfg(target_os = "linux")]
 mod packages;
 mod page;

@@ -5,6 +5,8 @@ use std::time::Duration;
 
 use anyhow::{Context as _, Result, ensure};
 use clap::{Parser, Subcommand};
+use mom_base_station::edit::{Change, Edit};
+use mom_base_station::fleet::{Address, Robot, Unit};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -15,6 +17,9 @@ Examples:
   mom-base-station --fleet fleet.toml send 1 motor 50 -50 --repeat 500ms --times 10
   mom-base-station --fleet fleet.toml send 3 to 1000 500 via 200 300 --stay 20s
   mom-base-station --fleet fleet.toml --log today.jsonl run script.txt
+  mom-base-station --fleet fleet.toml add 4 192.168.1.14:4000 --group scouts
+  mom-base-station --fleet fleet.toml change 4 --address 192.168.1.24:4000 --no-group
+  mom-base-station --fleet fleet.toml remove 4
 
 The file of a fleet has a table for each robot:
   [[robot]]
@@ -60,6 +65,95 @@ pub(super) enum Work {
     Run(RunArgs),
     /// Try all robots and tell their states, round trips and status bits
     List,
+    /// Add a robot to the file of the fleet, which is made if it is not there; no robot is spoken to
+    Add(AddArgs),
+    /// Change a robot in the file of the fleet; comments and order stay
+    Change(ChangeArgs),
+    /// Remove robots from the file of the fleet
+    Remove(RemoveArgs),
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct AddArgs {
+    /// Its unit number
+    pub(super) unit: Unit,
+    /// Where it listens, HOST:PORT
+    #[arg(value_parser = Address::parse)]
+    pub(super) address: Address,
+    /// What people call it
+    #[arg(long, value_name = "NAME")]
+    pub(super) name: Option<String>,
+    /// The group in which it is: robots of one group are driven together
+    #[arg(long, value_name = "NAME")]
+    pub(super) group: Option<String>,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct ChangeArgs {
+    /// The unit number that it has
+    pub(super) unit: Unit,
+    /// Another unit number
+    #[arg(long = "unit", id = "renumber", value_name = "UNIT")]
+    pub(super) renumber: Option<Unit>,
+    /// Where it listens from now on, HOST:PORT
+    #[arg(long, value_name = "ADDRESS", value_parser = Address::parse)]
+    pub(super) address: Option<Address>,
+    /// Another name
+    #[arg(long, value_name = "NAME", conflicts_with = "no_name")]
+    pub(super) name: Option<String>,
+    /// No name
+    #[arg(long)]
+    pub(super) no_name: bool,
+    /// Another group
+    #[arg(long, value_name = "NAME", conflicts_with = "no_group")]
+    pub(super) group: Option<String>,
+    /// No group
+    #[arg(long)]
+    pub(super) no_group: bool,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct RemoveArgs {
+    /// Their unit numbers
+    #[arg(required = true, value_name = "UNIT")]
+    pub(super) units: Vec<Unit>,
+}
+
+impl Work {
+    /// The change of the file that this is, if it is one, and what it has done in words.
+    pub(super) fn edit(&self) -> Option<(Edit, String)> {
+        match self {
+            Self::Send(_) | Self::Run(_) | Self::List => None,
+            Self::Add(add) => {
+                let robot = Robot {
+                    unit: add.unit,
+                    address: add.address.clone(),
+                    name: add.name.clone(),
+                    group: add.group.clone(),
+                };
+                Some((Edit::Add(robot), format!("added unit {}", add.unit)))
+            }
+            Self::Change(change) => {
+                let word = |word: &Option<String>, no: bool| match no {
+                    true => Some(None),
+                    false => word.clone().map(Some),
+                };
+                let edit = Change {
+                    unit: change.renumber,
+                    address: change.address.clone(),
+                    name: word(&change.name, change.no_name),
+                    group: word(&change.group, change.no_group),
+                };
+                let done = format!("changed unit {}", change.unit);
+                Some((Edit::Change(change.unit, edit), done))
+            }
+            Self::Remove(remove) => {
+                let units: Vec<String> = remove.units.iter().map(Unit::to_string).collect();
+                let done = format!("removed unit {}", units.join(", "));
+                Some((Edit::Remove(remove.units.clone()), done))
+            }
+        }
+    }
 }
 
 #[derive(Debug, clap::Args)]

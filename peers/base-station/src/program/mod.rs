@@ -9,11 +9,12 @@ mod view;
 mod watching;
 
 use std::fs;
-use std::io::{IsTerminal as _, stdout};
+use std::io::{IsTerminal as _, Write as _, stdout};
 use std::path::Path;
 
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::Parser as _;
+use mom_base_station::edit::{Change, Edit, replace};
 use mom_base_station::fleet::{Fleet, Unit};
 use mom_base_station::log::{Log, LogFile};
 use mom_base_station::script::Script;
@@ -34,6 +35,9 @@ pub(crate) async fn main() -> Result<()> {
         return Ok(written?);
     }
     let args = Args::parse();
+    if let Some((edit, done)) = args.work.as_ref().and_then(Work::edit) {
+        return change(&args.fleet, &edit, &done);
+    }
     let fleet = Fleet::parse(&read(&args.fleet)?).with_context(|| args.fleet.display().to_string())?;
     let table: &'static Table = match &args.table {
         Some(path) => file::table(&read(path)?).with_context(|| path.display().to_string())?,
@@ -77,12 +81,35 @@ pub(crate) async fn main() -> Result<()> {
             let played = plain::run(&station, script, run.stay, args.timeout, &mut interrupt).await;
             finish(&station).await.and(played)
         }
-        Some(Work::List) => {
+        // The others have been carried out above.
+        Some(Work::List | Work::Add(_) | Work::Change(_) | Work::Remove(_)) => {
             let station = begin(&fleet)?;
             let listed = plain::list(&station, args.timeout, &mut interrupt).await;
             finish(&station).await.and(listed)
         }
     }
+}
+
+/// Changes the file of the fleet, or says why not.
+fn change(path: &Path, edit: &Edit, done: &str) -> Result<()> {
+    let name = || path.display().to_string();
+    let is_nothing = matches!(edit, Edit::Change(_, change) if *change == Change::default());
+    ensure!(
+        !is_nothing,
+        "there is nothing to change: say --unit, --address, --name, --no-name, --group or --no-group"
+    );
+    let text = match edit {
+        Edit::Add(_) if !path.exists() => String::new(),
+        _ => read(path)?,
+    };
+    let text = edit.apply(&text).with_context(name)?;
+    replace(path, &text).with_context(|| format!("cannot write {}", path.display()))?;
+    writeln!(
+        stdout(),
+        "{done} in {}; a mom-base-station or mom-gateway that runs takes it over when it is started again",
+        path.display()
+    )?;
+    Ok(())
 }
 
 /// The robots that a script speaks to: the others are left alone.

@@ -226,3 +226,62 @@ async fn with_a_fault_in_a_file_or_a_statement_nothing_is_started() {
     robot.ask("mute");
     assert_eq!(robot.line().await, "did mute", "nobody has connected before");
 }
+
+#[tokio::test]
+async fn robots_are_added_changed_and_removed_in_the_file() {
+    let (_, folder) = program(&[4001]);
+    let file = folder.path().join("hall.toml");
+    let edit = async |args: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_mom-base-station"));
+        command.arg("--fleet").arg(&file).args(args);
+        run(command).await
+    };
+    let now = || std::fs::read_to_string(&file).expect("it is there");
+    let added = edit(&["add", "7", "10.0.0.7:4000", "--group", "scouts"]).await;
+    assert!(added.status.success(), "{added:?}");
+    assert!(text(&added.stdout).starts_with("added unit 7 in "), "{added:?}");
+    std::fs::write(&file, format!("# The hall.\n\n{}", now())).expect("it is ours");
+    for args in [
+        &["add", "8", "10.0.0.8:4000"][..],
+        &[
+            "change",
+            "7",
+            "--address",
+            "[::1]:4000",
+            "--no-group",
+            "--name",
+            "Bob",
+        ],
+        &["change", "8", "--unit", "9"],
+    ] {
+        let done = edit(args).await;
+        assert!(done.status.success(), "{done:?}");
+    }
+    let wanted = "# The hall.\n\n[[robot]]\nunit = 7\naddress = \"[::1]:4000\"\nname = \"Bob\"\n\n\
+        [[robot]]\nunit = 9\naddress = \"10.0.0.8:4000\"\n";
+    assert_eq!(now(), wanted);
+    for (args, said) in [
+        (
+            &["add", "9", "10.0.0.9:4000"][..],
+            "nothing is changed: line 13, column 8: unit 9 is in line 9 already",
+        ),
+        (&["add", "100000", "10.0.0.9:4000"], "a unit number is 1 to 99999"),
+        (&["add", "10", "10.0.0.9"], "the port is missing"),
+        (&["change", "7"], "there is nothing to change"),
+        (&["remove", "8"], "there is no unit 8"),
+        (&["remove", "7", "9"], "there is no `[[robot]]`"),
+    ] {
+        let refused = edit(args).await;
+        let said_it = text(&refused.stderr);
+        assert!(
+            !refused.status.success() && said_it.contains(said),
+            "{args:?}: {said_it}"
+        );
+        assert_eq!(now(), wanted);
+    }
+    let removed = edit(&["remove", "9"]).await;
+    assert!(
+        removed.status.success() && !now().contains("unit = 9"),
+        "{removed:?}"
+    );
+}

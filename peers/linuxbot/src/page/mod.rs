@@ -14,8 +14,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
-use http::header::{ALLOW, CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
-use http::{HeaderValue, Method, Request, Response, StatusCode};
+use http::header::{
+    ALLOW, AUTHORIZATION, CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, WWW_AUTHENTICATE,
+    X_CONTENT_TYPE_OPTIONS,
+};
+use http::{HeaderMap, HeaderValue, Method, Request, Response, StatusCode};
 use http_body_util::Full;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
@@ -28,7 +31,7 @@ use tokio::time::{sleep, timeout};
 
 use text::{html, json};
 
-use crate::{Access, Eye, Observed, Observer};
+use crate::{Access, Eye, Login, Observed, Observer};
 
 /// Connections at once of those who may look, and of those who are told that they may not; more are closed.
 const MOST: usize = 16;
@@ -51,6 +54,8 @@ pub struct Page {
     pub unit: u32,
     /// Who may look: those who may drive (W23).
     pub access: Access,
+    /// What they have to know; none: nothing.
+    pub login: Option<Login>,
     /// How the robot is.
     pub observer: Observer,
     /// What it sees, if it has a camera.
@@ -93,7 +98,10 @@ async fn connect(stream: TcpStream, from: SocketAddr, page: Option<Arc<Page>>, _
         let page = page.clone();
         async move {
             Ok::<_, Infallible>(match page {
-                Some(page) => page.answer(request.method(), request.uri().path()).await,
+                Some(page) => match page.asks_for_login(request.headers()).await {
+                    Some(asked) => asked,
+                    None => page.answer(request.method(), request.uri().path()).await,
+                },
                 None => refused(from),
             })
         }
@@ -119,10 +127,37 @@ impl Page {
         let page = Self {
             unit,
             access,
+            login: None,
             observer,
             eye: Some(Arc::new(Eye::new(floor))),
         };
         (page, observed)
+    }
+
+    /// The same for those alone who know this.
+    #[must_use]
+    pub fn with_login(mut self, login: Option<Login>) -> Self {
+        self.login = login;
+        self
+    }
+
+    /// What is answered to who has not logged in, before anything is shown. A wrong password is answered later, so that few are tried.
+    async fn asks_for_login(&self, headers: &HeaderMap) -> Option<Answer> {
+        let login = self.login.as_ref()?;
+        if login.admits(headers) {
+            return None;
+        }
+        if headers.contains_key(AUTHORIZATION) {
+            sleep(PAUSE).await;
+        }
+        let text =
+            "this robot shows itself to who logs in; its file of mom-linuxbot --web-login says as whom\n";
+        let mut answer = words(StatusCode::UNAUTHORIZED, text);
+        let realm = format!("Basic realm=\"robot {}\", charset=\"UTF-8\"", self.unit);
+        if let Ok(realm) = HeaderValue::try_from(realm) {
+            answer.headers_mut().insert(WWW_AUTHENTICATE, realm);
+        }
+        Some(answer)
     }
 
     /// What is answered to a request of this method for this path.

@@ -25,6 +25,15 @@ impl Drop for Task {
 }
 
 async fn start(driver: Box<dyn Driver>, access: Access, eye: Option<Eye>) -> Served {
+    start_with(driver, access, eye, None).await
+}
+
+async fn start_with(
+    driver: Box<dyn Driver>,
+    access: Access,
+    eye: Option<Eye>,
+    login: Option<Login>,
+) -> Served {
     let [control, page] = [
         TcpListener::bind("127.0.0.1:0").await.expect("a free port"),
         TcpListener::bind("127.0.0.1:0").await.expect("a free port"),
@@ -36,6 +45,7 @@ async fn start(driver: Box<dyn Driver>, access: Access, eye: Option<Eye>) -> Ser
     let served = Page {
         unit: 7,
         access,
+        login,
         observer,
         eye: eye.map(Arc::new),
     };
@@ -58,9 +68,14 @@ async fn linuxbot() -> Served {
 
 /// Status line and headers, and the body.
 async fn ask(address: SocketAddr, request: &str) -> (String, Vec<u8>) {
+    ask_with(address, request, "").await
+}
+
+/// The same with more lines of the head.
+async fn ask_with(address: SocketAddr, request: &str, head: &str) -> (String, Vec<u8>) {
     let asked = async {
         let mut stream = TcpStream::connect(address).await.expect("it listens");
-        let request = format!("{request} HTTP/1.1\r\nHost: robot\r\n\r\n");
+        let request = format!("{request} HTTP/1.1\r\nHost: robot\r\n{head}\r\n");
         stream.write_all(request.as_bytes()).await.expect("it reads");
         let mut answer = Vec::new();
         stream.read_to_end(&mut answer).await.expect("it answers");
@@ -70,6 +85,50 @@ async fn ask(address: SocketAddr, request: &str) -> (String, Vec<u8>) {
     let end = answer.windows(4).position(|bytes| bytes == b"\r\n\r\n");
     let (head, body) = answer.split_at(end.expect("a head") + 4);
     (String::from_utf8_lossy(head).into_owned(), body.to_vec())
+}
+
+#[tokio::test]
+async fn who_has_not_logged_in_is_shown_nothing() {
+    let driver = Simulated::linuxbot();
+    let eye = Eye::new(driver.floor());
+    let login = Login::parse("alice:open:sesame").expect("a login");
+    let served = start_with(Box::new(driver), Access::default(), Some(eye), Some(login)).await;
+    // alice:open:sesame, and with a letter less, another one, and one more.
+    let right = "YWxpY2U6b3BlbjpzZXNhbWU=";
+    for (header, is_in) in [
+        (String::new(), false),
+        (format!("Authorization: Basic {right}\r\n"), true),
+        (format!("authorization: basic {right}\r\n"), true),
+        (format!("Authorization: Bearer {right}\r\n"), false),
+        (
+            "Authorization: Basic YWxpY2U6b3BlbjpzZXNhbQ==\r\n".to_owned(),
+            false,
+        ),
+        (
+            "Authorization: Basic YWxpY2U6b3BlbjpzZXNhbWU0\r\n".to_owned(),
+            false,
+        ),
+        ("Authorization: Basic Ym9iOm9wZW46c2VzYW1l\r\n".to_owned(), false),
+        ("Authorization: Basic \r\n".to_owned(), false),
+        ("Authorization: Basic ???\r\n".to_owned(), false),
+    ] {
+        for path in ["/", "/status.json", "/camera.jpg", "/secret"] {
+            let (head, body) = ask_with(served.page, &format!("GET {path}"), &header).await;
+            let body = String::from_utf8_lossy(&body);
+            if is_in {
+                assert!(!head.contains(" 401 "), "{path} {header}: {head}");
+                continue;
+            }
+            assert!(
+                head.starts_with("HTTP/1.1 401 ")
+                    && head.contains("www-authenticate: Basic realm=\"robot 7\"")
+            );
+            assert!(
+                body.starts_with("this robot shows itself to who logs in"),
+                "{path} {header}: {body}"
+            );
+        }
+    }
 }
 
 #[tokio::test]

@@ -24,6 +24,7 @@ pub(crate) fn json(unit: u32, glance: &Glance) -> Value {
         "right": glance.motors.right(),
         "moving": status.moving,
         "battery": status.battery,
+        "charging": status.charging,
         "switches": status.switches,
         "leds": glance.leds,
         "expired": status.expired,
@@ -74,7 +75,14 @@ fn rows(glance: &Glance) -> [(&'static str, String); 7] {
         ),
         ("motors", format!("{} per mille", glance.motors)),
         ("state", or(said.join(", "), "standing")),
-        ("battery", format!("{} %", status.battery)),
+        (
+            "battery",
+            format!(
+                "{} %{}",
+                status.battery,
+                if status.charging { ", charging" } else { "" }
+            ),
+        ),
         ("switches", or(pressed(status.switches), "none is pressed")),
         ("LEDs", lit(glance.leds)),
         (
@@ -135,6 +143,7 @@ mod tests {
                 switches: switch::FRONT_LEFT | switch::REAR_RIGHT,
                 moving: true,
                 battery: 81,
+                charging: true,
                 ..Status::default()
             },
             station: Some("192.168.1.5:50000".parse().expect("an address")),
@@ -147,7 +156,7 @@ mod tests {
             "<td>1234 mm, 500 mm, 90°</td>",
             "<td>300 -300 per mille</td>",
             "<td>moving</td>",
-            "<td>81 %</td>",
+            "<td>81 %, charging</td>",
             "<td>front left, rear right</td>",
             "<td>○○○○○●○●</td>",
             "<td>192.168.1.5:50000</td>",

@@ -229,6 +229,26 @@ fn a_stop_that_the_driver_refuses_is_tried_until_it_stands() {
 }
 
 #[test]
+fn a_robot_at_its_charger_says_that_it_is_charged() {
+    let driver = Simulated::linuxbot()
+        .with_battery(40)
+        .with_charger(mom_wheels::Point::new(2500.0, 2500.0));
+    let mut robot = Robot::new(Box::new(driver), Chassis::LINUXBOT, Rules::default());
+    let charged = Status {
+        battery: 40,
+        charging: true,
+        ..Status::default()
+    };
+    assert_eq!(
+        replied(&mut robot, "status", 0),
+        Some(format!("04 {:05}", charged.bits()))
+    );
+    assert_eq!(Status::from_bits(charged.bits()), charged);
+    let later = robot.status(600_000_000).expect("it knows");
+    assert!(later.charging && later.battery > 60, "{later:?}");
+}
+
+#[test]
 fn a_dead_battery_is_told_and_nothing_waits_for_it() {
     let dead = Simulated::linuxbot().with_battery(0);
     let mut robot = Robot::new(Box::new(dead), Chassis::LINUXBOT, Rules::default());

@@ -20,6 +20,10 @@ impl Stage {
     fn new() -> Self {
         let pose = Pose::new(1000.0, 1000.0, 0.0);
         let robot = Simulated::new(Chassis::LINUXBOT, Power::LINUXBOT, Floor::ARENA, pose).expect("a robot");
+        Self::on(robot)
+    }
+
+    fn on(robot: Simulated) -> Self {
         Self {
             queue: CommandQueue::new(Rover::new(Box::new(robot), Chassis::LINUXBOT, None)),
             now: 0,
@@ -155,6 +159,91 @@ fn any_new_command_ends_following_and_so_does_a_halt() {
     stage.queue.halt(stage.now, "a test", &mut stage.events);
     assert_eq!(stage.queue.machine().motors, Motors::STOP);
     assert_eq!((stage.ended(), stage.said("leader")), (vec!["failed"], None));
+}
+
+#[test]
+fn an_empty_battery_ends_each_motion_as_battery() {
+    for script in ["motor 1000 -1000 60000", "goto 4000 4000", "follow rover-a 300"] {
+        let power = Power {
+            capacity: 30.0,
+            ..Power::LINUXBOT
+        };
+        let (floor, pose) = (Floor::ARENA, Pose::new(1000.0, 1000.0, 0.0));
+        let robot = Simulated::new(Chassis::LINUXBOT, power, floor, pose).expect("a robot");
+        let mut stage = Stage::on(robot);
+        stage.command(script).expect("it can");
+        stage.heard("rover-a", 1900.0, Some(0));
+        stage.pass(15_000 * MS);
+        let mut failure = None;
+        let take = |rover: &mut Rover| failure = rover.take_failure();
+        stage.queue.note(stage.now, take, &mut stage.events);
+        let failure = failure.expect("its battery is empty");
+        assert_eq!(failure.name(), ErrorName::Battery, "{script}: {failure}");
+        assert_eq!(stage.said("battery"), Some(Value::from(0)), "{script}");
+        // As its peer does.
+        stage.queue.fail(stage.now, &failure, &mut stage.events);
+        stage.events.clear();
+        // What it is told then is refused as that, too.
+        stage.command("motor 100 100 100").expect("it is read");
+        stage.pass(stage.now + 10 * MS);
+        let refused = stage
+            .events
+            .iter()
+            .any(|event| matches!(event, QueueEvent::Failed(_, error) if error.name() == ErrorName::Battery));
+        assert!(refused, "{script}");
+    }
+}
+
+#[test]
+fn it_tells_that_it_is_charged_and_how_far() {
+    let robot = Simulated::linuxbot().with_battery(40);
+    let mut stage = Stage::on(robot.with_charger(Point::new(2500.0, 2500.0)));
+    stage.pass(MS);
+    assert_eq!(stage.said("charging"), Some(Value::from(true)));
+    // At rest, with nobody who asks it.
+    stage.pass(600_000 * MS);
+    let Some(Value::Int(battery)) = stage.said("battery") else {
+        panic!("it tells its battery");
+    };
+    assert!((65..=67).contains(&battery), "{battery} %");
+    stage.command("motor 500 500 1000").expect("it can");
+    stage.pass(stage.now + 2000 * MS);
+    assert_eq!(stage.said("charging"), Some(Value::from(false)));
+    assert_eq!(Stage::new().said("charging"), None);
+}
+
+#[test]
+fn a_small_robot_drives_as_its_file_says() {
+    let lego = crate::Model::parse(include_str!("../../../../config/lego.toml")).expect("it is right");
+    let pose = Pose::new(1000.0, 1000.0, 0.0);
+    let robot = Simulated::new(lego.chassis, lego.power, Floor::ARENA, pose).expect("a robot");
+    let rover = Rover::new(Box::new(robot.with_fittings(lego.fittings)), lego.chassis, None);
+    let mut stage = Stage::new();
+    stage.queue = CommandQueue::new(rover);
+    // 300 mm/s at full speed.
+    stage.command("motor 1000 1000 2000").expect("it can");
+    stage.pass(3000 * MS);
+    assert!((1560..=1610).contains(&stage.x()), "{}", stage.x());
+    let light = stage.said("light");
+    stage.command("goto 1000 1000; goto 2300 1000").expect("it can");
+    stage.pass(stage.now + 60_000 * MS);
+    assert!((2285..=2315).contains(&stage.x()), "{}", stage.x());
+    assert_ne!(stage.said("light"), light, "another tile");
+    // Its touch sensor is at the front.
+    stage.command("motor 1000 1000 20000").expect("it can");
+    stage.pass(stage.now + 20_500 * MS);
+    assert_eq!(
+        stage.said("switches"),
+        Some(Value::from(i64::from(mom_wheels::switch::FRONT)))
+    );
+    stage.events.clear();
+    stage.command("leds 1").expect("it is read");
+    stage.pass(stage.now + 10 * MS);
+    let refused = stage
+        .events
+        .iter()
+        .any(|event| matches!(event, QueueEvent::Failed(_, error) if error.text().contains("has no LEDs")));
+    assert!(refused, "{:?}", stage.events);
 }
 
 #[test]

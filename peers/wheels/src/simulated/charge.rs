@@ -10,12 +10,14 @@ pub(super) struct Charge {
     pub(super) since: WheelTime,
     /// J.
     pub(super) joules: f64,
+    /// J in a full battery.
+    pub(super) full: f64,
 }
 
 /// What draws from the battery from a time on.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Load<'a> {
-    /// So many W.
+    /// So many W; what is below 0 fills the battery.
     Steady(f64),
     /// So many W, and the wheels of a motion that began at a time.
     Moving {
@@ -31,8 +33,9 @@ pub(super) enum Load<'a> {
 impl Charge {
     /// So many percent of a full battery; more than 100 are 100.
     pub(super) fn of(percent: u8, power: &Power, since: WheelTime) -> Self {
-        let joules = power.capacity * f64::from(percent.min(100)) / 100.0;
-        Self { since, joules }
+        let full = power.capacity;
+        let joules = full * f64::from(percent.min(100)) / 100.0;
+        Self { since, joules, full }
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -41,13 +44,17 @@ impl Charge {
 
     /// The same at a later time, which is not after [`Self::empties`].
     pub(super) fn at(&self, load: &Load<'_>, now: WheelTime) -> Self {
-        if self.is_empty() {
+        let used = load.energy(self.since, now);
+        if self.is_empty() && used >= 0.0 {
             return Self { since: now, ..*self };
         }
-        let used = load.energy(self.since, now);
         // Rounding must not empty it a µs before the time that was announced.
-        let joules = (self.joules - used).max(f64::MIN_POSITIVE);
-        Self { since: now, joules }
+        let joules = (self.joules - used).clamp(f64::MIN_POSITIVE, self.full);
+        Self {
+            since: now,
+            joules,
+            ..*self
+        }
     }
 
     /// In percent, rounded up, so that 0 is an empty battery.

@@ -6,7 +6,9 @@
 //! [`PRESSED`]. Robots do not meet each other, even on the same floor.
 //!
 //! Power is drawn by the electronics, by each LED that is lit, and by the wheels in proportion to their speed. An empty
-//! battery sets the motors to 0 0, so that the robot runs out, and makes its LEDs dark; the driver still answers. So does the time
+//! battery sets the motors to 0 0, so that the robot runs out, and makes its LEDs dark; the driver still answers. A robot that has a
+//! charger ([`Simulated::with_charger`]) is charged from when it stands there with its motors at 0 0 until they are set to something
+//! else, also from 0 on. The motors are set to 0 0, too, at the time
 //! that [`Driver::hold`] has given, also when nobody asks at that time.
 //!
 //! # Cost
@@ -19,24 +21,29 @@
 //! each, the rate of W18, take 3 to 4 % of that core, and 21 % if all drive beside walls.
 
 mod charge;
+mod fittings;
 mod motion;
 #[cfg(test)]
 mod tests;
 mod walls;
 
 use charge::{Charge, Load, friction, rims, seconds};
+pub use fittings::Fittings;
 use motion::{Motion, Speeds, Spot};
 use walls::Limits;
 pub(crate) use walls::Wall;
 
 use crate::{
-    Chassis, Driver, DriverError, Fault, Floor, Motors, Pose, Power, Sensors, SetupError, WheelTime,
+    Chassis, Driver, DriverError, Fault, Floor, Motors, Parts, Point, Pose, Power, Sensors, SetupError,
+    WheelTime,
 };
 
 /// mm/s: a robot stands when both wheels are slower.
 pub const STANDING: f64 = 0.5;
 /// µs, the shortest time for which a wall presses a switch.
 pub const PRESSED: WheelTime = 50_000;
+/// mm: so near its charger a robot that stands is charged.
+pub const DOCKED: f64 = 100.0;
 /// mm, the side of the square of floor in whose middle each robot of a fleet begins.
 pub const CELL: f64 = 1000.0;
 
@@ -59,7 +66,10 @@ pub struct Simulated {
     chassis: Chassis,
     power: Power,
     limits: Limits,
-    odometry: bool,
+    fittings: Fittings,
+    /// Where its charger stands, if it has one.
+    charger: Option<Point>,
+    charging: bool,
     /// The latest time given; `None` before the first, at which it begins to be.
     begun: Option<WheelTime>,
     motors: Motors,
@@ -95,6 +105,8 @@ struct Ahead {
     leaves: Option<WheelTime>,
     /// When its battery is empty.
     empties: Option<WheelTime>,
+    /// When it stands at its charger.
+    docks: Option<WheelTime>,
 }
 
 /// Which of them comes first.
@@ -103,6 +115,7 @@ enum Change {
     Meets(Wall),
     Leaves,
     Empties,
+    Docks,
     /// Its motors were not to run for longer.
     Expires,
 }
@@ -167,7 +180,7 @@ impl Simulated {
     /// The same without odometry, as the paper has it: its pose is not among what it senses. [`Self::pose`] still tells it.
     #[must_use]
     pub fn without_odometry(mut self) -> Self {
-        self.odometry = false;
+        self.fittings.odometry = false;
         self
     }
 
@@ -217,7 +230,7 @@ impl Simulated {
     /// J that are left in the battery.
     pub fn charge(&mut self, at: WheelTime) -> f64 {
         self.advance(at);
-        self.charge.at(&self.load(), self.now()).joules
+        self.left().joules
     }
 
     fn at(chassis: Chassis, power: Power, limits: Limits, pose: Pose) -> Self {
@@ -230,7 +243,9 @@ impl Simulated {
             chassis,
             power,
             limits,
-            odometry: true,
+            fittings: Fittings::LINUXBOT,
+            charger: None,
+            charging: false,
             begun: None,
             motors: Motors::STOP,
             held: WheelTime::MAX,
@@ -275,12 +290,14 @@ impl Simulated {
             meets,
             leaves,
             empties,
+            docks,
         } = self.look_ahead();
         let expires = (self.motors != Motors::STOP && self.held < WheelTime::MAX).then_some(self.held);
         let events = [
             expires.map(|time| (time, Change::Expires)),
             empties.map(|time| (time, Change::Empties)),
             leaves.map(|time| (time, Change::Leaves)),
+            docks.map(|time| (time, Change::Docks)),
             meets.map(|(time, wall)| (time, Change::Meets(wall))),
         ];
         events.into_iter().flatten().min_by_key(|(time, _)| *time)
@@ -295,6 +312,7 @@ impl Simulated {
             meets: self.meets(),
             leaves: self.leaves(),
             empties: empties.flatten(),
+            docks: self.docks(),
         };
         self.ahead = Some(ahead);
         ahead
@@ -331,10 +349,16 @@ impl Simulated {
             Change::Meets(wall) => self.meet(wall),
             Change::Leaves => self.go(self.place(), Speeds::NONE),
             Change::Expires => self.drive(Motors::STOP),
+            Change::Docks => {
+                self.spend();
+                self.charging = true;
+                self.ahead = None;
+            }
             Change::Empties => {
                 self.charge = Charge {
                     since: self.now(),
                     joules: 0.0,
+                    ..self.charge
                 };
                 self.die();
             }
@@ -382,6 +406,8 @@ impl Simulated {
         let (place, speeds) = (self.place(), self.speeds());
         self.spend();
         self.motors = motors;
+        // Not at 0 0, as they were.
+        self.charging = false;
         self.ahead = None;
         if matches!(self.course, Course::Free { .. }) {
             self.go(place, speeds);
@@ -411,14 +437,17 @@ impl Simulated {
 
     /// Draws from the battery what was used until now.
     fn spend(&mut self) {
-        self.charge = self.charge.at(&self.load(), self.now());
+        self.charge = self.left();
     }
 
     fn load(&self) -> Load<'_> {
+        let watts = self.power.idle + self.power.led * f64::from(self.leds.count_ones());
+        if self.charging {
+            return Load::Steady(watts - self.power.charger);
+        }
         if self.charge.is_empty() {
             return Load::Steady(0.0);
         }
-        let watts = self.power.idle + self.power.led * f64::from(self.leds.count_ones());
         let friction = friction(&self.power, &self.chassis);
         let wheel_base = self.chassis.wheel_base;
         match &self.course {
@@ -434,6 +463,11 @@ impl Simulated {
                 Load::Steady(watts + friction * stalled)
             }
         }
+    }
+
+    /// What is in the battery now.
+    fn left(&self) -> Charge {
+        self.charge.at(&self.load(), self.now())
     }
 
     fn place(&self) -> Spot {
@@ -463,7 +497,7 @@ impl Simulated {
 impl Driver for Simulated {
     fn set_motors(&mut self, motors: Motors, at: WheelTime) -> Result<(), DriverError> {
         self.advance(at);
-        if self.charge.is_empty() && motors != Motors::STOP {
+        if self.left().is_empty() && motors != Motors::STOP {
             let text = format!("the battery is empty, so the motors stay at 0 0 instead of {motors}");
             return Err(DriverError::new(Fault::Battery, text));
         }
@@ -480,7 +514,8 @@ impl Driver for Simulated {
 
     fn set_leds(&mut self, leds: u8, at: WheelTime) -> Result<(), DriverError> {
         self.advance(at);
-        if self.charge.is_empty() && leds != 0 {
+        self.fittings.check_leds(leds)?;
+        if self.left().is_empty() && leds != 0 {
             let text = format!("the battery is empty, so the LEDs stay dark instead of {leds:#010b}");
             return Err(DriverError::new(Fault::Battery, text));
         }
@@ -499,10 +534,18 @@ impl Driver for Simulated {
             Course::Held { switches, .. } => switches,
         };
         Ok(Sensors {
-            switches,
-            battery: self.charge.at(&self.load(), self.now()).percent(&self.power),
+            switches: switches & self.fittings.switches,
+            battery: self.left().percent(&self.power),
             motors: self.motors,
-            pose: self.odometry.then_some(pose),
+            pose: self.fittings.odometry.then_some(pose),
+        })
+    }
+
+    fn parts(&mut self, at: WheelTime) -> Result<Parts, DriverError> {
+        let pose = self.pose(at);
+        Ok(Parts {
+            charging: self.charger.map(|_| self.charging),
+            light: self.fittings.light_at(self.floor(), pose),
         })
     }
 

@@ -213,6 +213,86 @@ fn without_odometry_it_does_not_sense_its_pose() {
 }
 
 #[test]
+fn a_robot_that_stands_at_its_charger_is_charged_until_it_drives_away() {
+    let here = crate::Point::new(2500.0, 2500.0);
+    let mut robot = Simulated::linuxbot().with_battery(0).with_charger(here);
+    let charging = |robot: &mut Simulated, at| robot.parts(at).expect("it answers").charging;
+    // From 0 on, and the driver says when.
+    assert_eq!(charging(&mut robot, 0), Some(true));
+    const S: WheelTime = 1_000_000;
+    let minute = 60 * S;
+    let gained = robot.charge(minute);
+    assert!((gained - 60.0 * 32.0).abs() < 1.0, "{gained} J");
+    assert_eq!(sense(&mut robot, minute).battery, 3);
+    // A full one stays full.
+    assert_eq!(sense(&mut robot, 60 * minute).battery, 100);
+    robot
+        .set_motors(Motors::new(500, 500), 60 * minute)
+        .expect("it is full");
+    assert_eq!(charging(&mut robot, 60 * minute), Some(false));
+    // Beside it, it stands without.
+    robot.set_motors(Motors::STOP, 60 * minute + S).expect("it stops");
+    assert_eq!(charging(&mut robot, 61 * minute), Some(false));
+    let away = robot.charge(61 * minute);
+    assert!(robot.charge(62 * minute) < away);
+    // It comes back, and is charged no sooner than it stands.
+    robot
+        .set_motors(Motors::new(-500, -500), 62 * minute)
+        .expect("it drives");
+    robot.set_motors(Motors::STOP, 62 * minute + S).expect("it stops");
+    assert_eq!(charging(&mut robot, 62 * minute + S), Some(false));
+    let wake = std::iter::from_fn(|| {
+        let wake = robot.next_wake()?;
+        sense(&mut robot, wake);
+        Some(robot.is_standing(wake))
+    });
+    assert_eq!(wake.take(3).last(), Some(true));
+    assert_eq!(charging(&mut robot, 62 * minute + 3 * S), Some(true));
+    // One without a charger knows of none.
+    assert_eq!(charging(&mut Simulated::linuxbot(), 0), None);
+}
+
+#[test]
+fn a_robot_has_the_parts_that_it_was_fitted_with() {
+    const S: WheelTime = 1_000_000;
+    let fittings = crate::Fittings {
+        switches: switch::FRONT,
+        leds: 0,
+        light: Some(50.0),
+        odometry: false,
+    };
+    let at = |x, heading| {
+        let pose = Pose::new(x, 250.0, heading);
+        let robot = Simulated::new(Chassis::LINUXBOT, Power::LINUXBOT, Floor::ARENA, pose);
+        robot.expect("it is on the floor").with_fittings(fittings)
+    };
+    let light = |robot: &mut Simulated| robot.parts(0).expect("it answers").light;
+    assert_eq!(light(&mut Simulated::linuxbot()), None);
+    // The tile under the sensor counts, and not the one under the axle.
+    let [there, next] = [light(&mut at(440.0, 0.0)), light(&mut at(460.0, 0.0))];
+    assert_eq!([there, next], [Some(55), Some(43)]);
+    assert_eq!(light(&mut at(460.0, 180.0)), there);
+
+    let mut robot = at(200.0, 180.0);
+    let error = robot.set_leds(1, 0).expect_err("it has none");
+    assert_eq!(
+        (error.fault(), error.to_string()),
+        (crate::Fault::Leds, "the robot has no LEDs".to_owned())
+    );
+    robot.set_leds(0, 0).expect("all are dark");
+    robot.set_motors(Motors::new(500, 500), 0).expect("it drives");
+    let met = sense(&mut robot, S);
+    assert_eq!((met.switches, met.pose), (switch::FRONT, None));
+    robot.set_motors(Motors::new(-500, -500), S).expect("it drives");
+    let met = sense(&mut robot, 20 * S);
+    assert_eq!(
+        (met.switches, robot.is_standing(20 * S)),
+        (0, true),
+        "it has no switch at its rear"
+    );
+}
+
+#[test]
 fn a_robot_in_a_wall_or_of_nonsense_is_refused() {
     let place = |x, heading| {
         let pose = Pose { x, y: 500.0, heading };

@@ -9,14 +9,14 @@ use tokio::time::sleep;
 const FIRST_PAUSE: Duration = Duration::from_millis(500);
 const MOST_PAUSE: Duration = Duration::from_secs(10);
 
-/// Tries to enter a channel that is gone until it is back.
+/// Tries to enter a channel that is gone, and whatever else there is to enter, until it is back.
 ///
 /// # Errors
 ///
 /// Its client is closed.
-pub async fn come_back<F>(mut enter: impl FnMut() -> F) -> Result<Channel, ClientError>
+pub async fn come_back<F, T>(mut enter: impl FnMut() -> F) -> Result<T, ClientError>
 where
-    F: Future<Output = Result<Channel, ClientError>>,
+    F: Future<Output = Result<T, ClientError>>,
 {
     let mut pause = FIRST_PAUSE;
     let mut told = false;
