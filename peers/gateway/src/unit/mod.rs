@@ -564,7 +564,7 @@ impl Machine for Unit {
         }
     }
 
-    /// `{unit, linked, reached, unreached-since?, unreached-why?, leds, battery?, switches?, expired?, round-trip?}`: µs since 1970, words,
+    /// `{unit, linked, reached, unreached-since?, unreached-why?, leds, battery?, charging?, switches?, expired?, round-trip?}`: µs since 1970, words,
     /// percent, a mask of bits, µs. What is told of one that is not reached is what it said last, but for its motion, of which nobody knows.
     fn report(&self) -> Map {
         let mut map = Map::new()
@@ -580,6 +580,7 @@ impl Machine for Unit {
         }
         if let Some(Told { status, .. }) = self.status.filter(|told| told.is_ours) {
             map.set("battery", i64::from(status.battery));
+            map.set("charging", status.charging);
             map.set("switches", i64::from(status.switches));
             map.set("expired", status.expired);
         }

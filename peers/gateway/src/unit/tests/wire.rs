@@ -71,7 +71,7 @@ fn the_status_of_a_foreign_robot_says_that_it_answers_and_no_more() {
     assert!(pair.queue.state().moving, "it has not answered yet");
     assert_eq!(answer(&mut pair), Ok(()));
     let state = pair.queue.state();
-    for key in ["battery", "switches", "expired"] {
+    for key in ["battery", "charging", "switches", "expired"] {
         assert_eq!(state.report.get(key), None, "{key} is not known");
     }
     assert!(
