@@ -2,6 +2,7 @@
 
 mod hand;
 mod view;
+mod way;
 
 use std::io::{self, IsTerminal as _};
 use std::time::Duration;
@@ -14,6 +15,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval};
 
 use self::hand::{Action, Hand};
 use self::view::View;
+use self::way::Way;
 use crate::cli::{self, GlobalArgs};
 use crate::commands::drive;
 use crate::connect::{Stay, connect};
@@ -88,7 +90,7 @@ impl Drive {
         let end = Instant::now() + time;
         let mut again = interval(AGAIN);
         again.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let mut state = None;
+        let (mut state, mut way) = (None, Way::new(velocity, time));
         loop {
             tokio::select! {
                 () = interrupt.wait() => return Err(Failure::plain("interrupted; the hand comes to rest")),
@@ -96,6 +98,7 @@ impl Drive {
                 event = self.events.next() => {
                     let event = event.ok_or_else(|| Failure::plain("the connection to the hub is closed"))?;
                     self.refusal(&event)?;
+                    way.see(&event);
                     state = state_in(&event).or(state);
                     // At rest, and no more is to come.
                     if let Some(state) = state.as_ref().filter(|state| Instant::now() >= end && !state.moving) {
@@ -104,10 +107,11 @@ impl Drive {
                             || serde_json::json!({"x": pose.x, "y": pose.y, "z": pose.z, "spin": pose.spin, "tilt": pose.tilt}),
                             || format!("at rest at {:.1} {:.1} {:.1} {:.1} {:.1}", pose.x, pose.y, pose.z, pose.spin, pose.tilt),
                         )?;
-                        return Ok(());
+                        return way.end(&pose, output);
                     }
                 }
                 _ = again.tick(), if Instant::now() < end => {
+                    way.said += 1;
                     let left = end.saturating_duration_since(Instant::now());
                     self.say(&jog(velocity, HOLDS.min(left))).await?;
                 }
