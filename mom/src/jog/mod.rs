@@ -9,7 +9,8 @@ use std::time::Duration;
 
 use mom_arm::{ArmState, Status, Velocity};
 use mom_client::{
-    Client, ClientError, Delivery, Event, Events, Family, LinkState, Parcel, Path, TokenGuard, from_value,
+    Client, ClientError, Code, Delivery, Event, Events, Family, LinkState, Parcel, Path, TokenGuard,
+    from_value,
 };
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
@@ -30,6 +31,9 @@ const AGAIN: Duration = Duration::from_millis(80);
 
 /// For how long each holds: what is late on the way is dropped, and the hand rests soon after the last.
 const HOLDS: Duration = Duration::from_millis(250);
+
+/// So long the hub may take to measure this program's clock, without which it passes on no command that expires.
+const MEASURED: Duration = Duration::from_secs(3);
 
 /// What `mom jog` drives.
 struct Drive {
@@ -87,7 +91,8 @@ impl Drive {
         interrupt: &mut Interrupt,
         output: Output,
     ) -> Result<(), Failure> {
-        let end = Instant::now() + time;
+        let begin = Instant::now();
+        let mut end = begin + time;
         let mut again = interval(AGAIN);
         again.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let (mut state, mut way) = (None, Way::new(velocity, time));
@@ -99,6 +104,11 @@ impl Drive {
                     let event = event.ok_or_else(|| Failure::plain("the connection to the hub is closed"))?;
                     self.refusal(&event)?;
                     way.see(&event);
+                    if is_unmeasured(&event) && begin.elapsed() < MEASURED {
+                        // Nothing moves before that, so the time begins anew.
+                        end = Instant::now() + time;
+                        way.begin_anew();
+                    }
                     state = state_in(&event).or(state);
                     // At rest, and no more is to come.
                     if let Some(state) = state.as_ref().filter(|state| Instant::now() >= end && !state.moving) {
@@ -212,6 +222,11 @@ impl Drive {
 fn jog(velocity: Velocity, time: Duration) -> String {
     let [x, y, z, spin, tilt] = velocity.numbers();
     format!("jog {x} {y} {z} {spin} {tilt} {}", time.as_millis().max(1))
+}
+
+/// Whether the hub refuses what expires, as it does not know yet how old it is.
+fn is_unmeasured(event: &Event) -> bool {
+    matches!(event, Event::Refused(error, _) if error.code == Code::TRY_LATER)
 }
 
 fn state_in(event: &Event) -> Option<ArmState> {

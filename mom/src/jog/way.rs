@@ -47,6 +47,11 @@ impl Way {
         self.begin = self.begin.or_else(|| state_in(event).map(|state| state.pose));
     }
 
+    /// Forgets what was refused before the time that counts.
+    pub(super) fn begin_anew(&mut self) {
+        (self.said, self.refused, self.why) = (0, 0, None);
+    }
+
     /// Fails where the hub has refused what is missing of the way; remarks what is missing for another reason.
     pub(super) fn end(&self, pose: &Pose, output: Output) -> Result<(), Failure> {
         let Some(missing) = self.missing(pose) else {
@@ -149,5 +154,10 @@ mod tests {
             "moved 5 of 50 mm: the hub refused at least 12 of 13 commands (expired: it has expired)"
         );
         assert!(way.end(&at(60.0, 0.0), output).is_ok(), "all of the way");
+        way.begin_anew();
+        assert!(
+            way.end(&at(15.0, 0.0), output).is_ok(),
+            "before the time that counts"
+        );
     }
 }
