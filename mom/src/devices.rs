@@ -29,7 +29,10 @@ macro_rules! devices {
             /// Runs it as a peer of its own.
             pub(crate) async fn run(&self, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
                 let client = connect(global, Stay::Driving).await?;
-                let ran = self.run_as(&client, output).await;
+                let ran = match self.run_as(&client, output).await {
+                    Err(failure) => Err(failure.at_a_fleet(&client).await),
+                    ran => ran,
+                };
                 client.close().await;
                 ran
             }

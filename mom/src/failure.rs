@@ -2,7 +2,13 @@
 
 use std::io;
 
-use mom_client::{ClientError, WireError};
+use mom_client::{Client, ClientError, Code, WireError};
+
+/// Where the robots of a fleet are.
+const FLEET: &str = "/fleet";
+
+/// The detail of a refusal that says what to do.
+pub(crate) const HINT: &str = "hint";
 
 /// Why a command did not do its work.
 #[derive(Debug, thiserror::Error)]
@@ -87,6 +93,20 @@ impl Failure {
                 "paths look like /robot/arm; `mom tree` shows those that exist, and of which kind they are",
             ),
             other => Failure::plain(format!("{}: {other}", what.into())),
+        }
+    }
+
+    /// The same with a hint, if the hub has a fleet where an arm or a camera was looked for in vain.
+    pub(crate) async fn at_a_fleet(self, client: &Client) -> Failure {
+        match self {
+            Failure::Refused { what, error } if error.code == Code::UNKNOWN_PATH => {
+                let error = match client.list(FLEET).await {
+                    Ok(_) => error.detail(HINT, "this hub has a fleet: mom fleet list"),
+                    Err(_) => error,
+                };
+                Failure::Refused { what, error }
+            }
+            other => other,
         }
     }
 

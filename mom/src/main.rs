@@ -21,6 +21,11 @@ use crate::cli::Cli;
 use crate::failure::Failure;
 use crate::output::Output;
 
+/// `mom lab` draws and reads large pictures on many threads: this gives their memory back, where the C library's allocator keeps most of
+/// it (docs/decisions.md).
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 fn main() -> ExitCode {
     // The settings of the environment count as arguments for clap, so it would not see that there are none.
     if std::env::args_os().len() == 1 {

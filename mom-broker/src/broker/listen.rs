@@ -221,7 +221,7 @@ impl Guest {
         let remote = Remote {
             from: Some(self.from.ip()),
             relayed,
-            secured: false,
+            ..Remote::default()
         };
         let (transceiver, remote, seat) = match accepted {
             Accepted::Peer(transceiver) => (transceiver, remote, seat),

@@ -8,7 +8,7 @@ use mom_hub::{Input, User};
 use mom_login::{Granted, LoginStep};
 use mom_net::Reader;
 use mom_proto::codec::Form;
-use mom_proto::{Code, Family, Limits, Map, Parcel, Path, Value, Verb, WireError, ZSTD};
+use mom_proto::{Code, Family, Limits, Map, Parcel, Path, Value, Verb, WireError, ZSTD, check_name};
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
@@ -145,16 +145,17 @@ impl Connection {
         }
         let account = board.memory.account(&granted.user().into());
         let told = self.grant_wishes(&granted);
+        let visit = self.arrival.remote.visit;
         let logged_in = &mut self.logged_in;
-        let decide = |mut user: User, nickname| {
+        let decide = |mut user: User, nickname: Option<String>| {
             // First: whatever happens then, the hub hears of the end.
             *logged_in = true;
             told.into_iter()
                 .for_each(|(key, value)| user.details.set(&key, value));
             let login = Input::Login {
                 peer,
+                nickname: nickname.or_else(|| visit.then(|| name_of_visit(&user.name)).flatten()),
                 user,
-                nickname,
                 id,
             };
             board.decide(login, touched);
@@ -179,6 +180,7 @@ impl Connection {
             from: link.from,
             tls: link.private,
             since: board.clock.wall(),
+            visit,
         };
         // Its first bytes may have come with those by which its form was told.
         self.outbox.note_heard(reader.received());
@@ -294,6 +296,12 @@ impl Connection {
     }
 }
 
+/// The name of a user who asks by HTTP, so that who only looks leaves the plain name to what the user types and drives with; none if it were none.
+fn name_of_visit(user: &str) -> Option<String> {
+    let name = format!("{user}@http");
+    check_name(&name).is_ok().then_some(name)
+}
+
 /// Waits until it is too late for a peer to say in which form it speaks, and gives why.
 pub(crate) async fn too_late(
     limits: &Limits,
@@ -311,4 +319,16 @@ pub(crate) fn login_timeout(millis: u64) -> WireError {
         Code::LOGIN_TIMEOUT,
         format!("no login within {} s", millis / 1000),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::name_of_visit;
+
+    #[test]
+    fn who_asks_by_http_has_a_name_beside_the_plain_one() {
+        assert_eq!(name_of_visit("alice").as_deref(), Some("alice@http"));
+        assert_eq!(name_of_visit(&"a".repeat(64)), None, "too long");
+        assert_eq!(name_of_visit("\u{430}\u{43d}\u{44f}"), None, "of two scripts");
+    }
 }

@@ -101,6 +101,8 @@ pub(crate) struct Remote {
     pub(crate) relayed: bool,
     /// A proxy that the configuration names says that nobody has read along before it.
     pub(crate) secured: bool,
+    /// A user who asks by HTTP, inside this process.
+    pub(crate) visit: bool,
 }
 
 /// What a connection has brought.

@@ -54,6 +54,7 @@ pub(super) fn remote(connection: Remote, headers: &HeaderMap, believed: &[Networ
             from: Some(from),
             relayed: true,
             secured: value("proto").is_some_and(|proto| proto.eq_ignore_ascii_case("https")),
+            ..connection
         };
         if !is_believed(from) {
             break;

@@ -216,6 +216,7 @@ impl HttpConnection {
         let login_by = Instant::now() + login_time(&services.limits);
         let remote = Remote {
             secured: self.is_secured(remote),
+            visit: true,
             ..remote
         };
         let mut serving = Serving::begin(services, here, remote, Some(seat), login_by);

@@ -56,6 +56,7 @@ impl Scene {
             from: None,
             tls: false,
             since: lab.board.clock.wall(),
+            visit: false,
         };
         robot.admit(&limits, "robot".into(), account, login);
         Scene {

@@ -19,7 +19,9 @@ pub(crate) struct TopArgs {
 pub(super) const TOP: &str = "\
 It needs the right to ask for the statistics of /, and shows the addresses of all peers. Silent is the time since
 anything was heard of a peer, round trip that of the hub's last ping, queue what waits for it, drops what was lost on
-the way to it. What is stopped, and by whom, stands above the table.
+the way to it. The door `http` is that of who has logged in to the hub's HTTP API, such as a page of the console. Above the
+table stands what is stopped, and by whom, and how many bytes of messages wait in the hub or are kept there, of the
+most that `memory` of its configuration permits.
 
 Keys: 1-9 or the arrows sort by a column, r reverses, q ends.
 

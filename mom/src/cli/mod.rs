@@ -385,6 +385,9 @@ pub(crate) struct SnapArgs {
     /// How long to wait for the image: 5s
     #[arg(long, value_name = "TIME", value_parser = duration, default_value = "10s")]
     pub(crate) timeout: Duration,
+    /// Fail where no camera answers, instead of taking the newest picture that the channel has
+    #[arg(long)]
+    pub(crate) fresh: bool,
 }
 
 const SNAP: &str = "\

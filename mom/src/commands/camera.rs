@@ -6,6 +6,7 @@ use serde_json::json;
 use tokio::time::timeout;
 
 use super::asking::ask;
+use super::run::join_device;
 use super::snap::nobody;
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
@@ -63,7 +64,7 @@ async fn settings(
     change: Map,
     args: &cli::CameraArgs,
 ) -> Result<Value, Failure> {
-    let channel = client.channel(path).await.doing(format!("join {path}"))?;
+    let channel = join_device(client, path).await?;
     let mut events = channel.events();
     let token = token(args);
     let (what, guard) = match change.is_empty() {

@@ -5,15 +5,20 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use bytes::Bytes;
-use mom_client::{Client, Events, Family, Parcel, Path, Value};
-use tokio::time::timeout;
+use mom_client::{Client, Event, Events, Family, Parcel, Path, Value};
+use serde_json::json;
+use tokio::time::{Instant, timeout_at};
 
-use super::asking::ask;
+use super::asking::{Asked, closed};
+use super::run::join_device;
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
-use crate::failure::{Doing as _, Failure};
+use crate::failure::Failure;
 use crate::output::style::{Tone, ink};
 use crate::output::{Output, to_json, words};
+
+/// So long a camera has to answer where the channel has a picture already.
+const PROMPT: Duration = Duration::from_secs(3);
 
 pub(crate) async fn run(args: &cli::SnapArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let to_stdout = args.output.as_deref().is_some_and(|file| file.as_os_str() == "-");
@@ -25,13 +30,11 @@ pub(crate) async fn run(args: &cli::SnapArgs, global: &GlobalArgs, output: Outpu
     }
     let client = connect(global, Stay::Once).await?;
     let path = format!("{}/{}", args.session.trim_end_matches('/'), args.view);
-    let channel = client.channel(&path).await.doing(format!("join {path}"))?;
+    let channel = join_device(&client, &path).await?;
     let mut events = channel.events();
-    let content = match timeout(args.timeout, ask_image(&client, channel.path(), &mut events)).await {
-        Ok(content) => content?,
-        Err(_) => return Err(nobody(&path, args.timeout)),
-    };
+    let picture = picture(&client, channel.path(), &mut events, args).await;
     client.close().await;
+    let Picture { content, kept } = picture?;
     let image =
         image(&content).ok_or_else(|| Failure::plain(format!("the answer of {path} holds no image")))?;
     if to_stdout {
@@ -49,6 +52,10 @@ pub(crate) async fn run(args: &cli::SnapArgs, global: &GlobalArgs, output: Outpu
             // The image is in the file.
             json["image"] = image.len().into();
             json["file"] = file.to_string_lossy().into();
+            if let Some(kept) = &kept {
+                json["kept"] = json!(true);
+                json["age-ms"] = json!(kept.age.map(words::in_millis));
+            }
             json
         },
         || {
@@ -59,14 +66,79 @@ pub(crate) async fn run(args: &cli::SnapArgs, global: &GlobalArgs, output: Outpu
             )
         },
     )?;
+    if let Some(kept) = kept {
+        output.remark(ink(kept.words(), Tone::Notice));
+    }
     Ok(())
 }
 
-/// Asks for an image and gives the content of the answer.
-async fn ask_image(client: &Client, path: &Path, events: &mut Events) -> Result<Value, Failure> {
+/// A picture, and of one that no camera has made for us, what is known of it.
+struct Picture {
+    content: Value,
+    kept: Option<Kept>,
+}
+
+/// How old a kept picture is, if that is known.
+struct Kept {
+    age: Option<Duration>,
+}
+
+impl Kept {
+    fn words(&self) -> String {
+        let age = match self.age {
+            Some(age) => format!("it is {} old", words::measured(age)),
+            None => "its age is not known".to_owned(),
+        };
+        format!("no camera answers: this is the newest picture in the channel, and {age}")
+    }
+}
+
+/// Asks for an image, and takes the channel's newest where nobody answers.
+async fn picture(
+    client: &Client,
+    path: &Path,
+    events: &mut Events,
+    args: &cli::SnapArgs,
+) -> Result<Picture, Failure> {
+    let what = format!("ask {path} for an image");
     let request = Parcel::new(Family::Message, "request").context(path.clone());
-    let answer = ask(client, events, request, &format!("ask {path} for an image")).await;
-    answer.map(|answer| answer.value())
+    let asked = Asked::of(client, request, &what).await?;
+    let begin = Instant::now();
+    let mut newest: Option<Parcel> = None;
+    loop {
+        let wait = match newest {
+            Some(_) => args.timeout.min(PROMPT),
+            None => args.timeout,
+        };
+        let Ok(event) = timeout_at(begin + wait, events.next()).await else {
+            let newest = newest.ok_or_else(|| nobody(path.as_str(), args.timeout))?;
+            return Ok(kept(client, &newest));
+        };
+        let Event::Message(parcel) = event.ok_or_else(closed)? else {
+            continue;
+        };
+        if asked.is_answered_by(&parcel, client) {
+            let content = asked.answer(parcel)?.value();
+            return Ok(Picture { content, kept: None });
+        }
+        if !args.fresh && image(&parcel.value()).is_some() {
+            newest = Some(parcel);
+        }
+    }
+}
+
+fn kept(client: &Client, parcel: &Parcel) -> Picture {
+    let age = client.clock().age(parcel).map(|age| age.duration());
+    let mut content = parcel.value();
+    if let (Value::Map(map), Some(said)) = (&mut content, parcel.timestamp)
+        && map.get("taken").is_none()
+    {
+        map.set("taken", said);
+    }
+    Picture {
+        content,
+        kept: Some(Kept { age }),
+    }
 }
 
 /// After so long without an answer.
@@ -154,6 +226,16 @@ mod tests {
         ] {
             assert_eq!(file_name("x", &content), name);
         }
+    }
+
+    #[test]
+    fn a_kept_picture_says_that_it_is_one_and_how_old() {
+        let words = |age| Kept { age }.words();
+        assert_eq!(
+            words(Some(Duration::from_millis(3_913))),
+            "no camera answers: this is the newest picture in the channel, and it is 3.9 s old"
+        );
+        assert!(words(None).ends_with("and its age is not known"));
     }
 
     #[test]

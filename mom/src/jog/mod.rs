@@ -2,18 +2,21 @@
 
 mod hand;
 mod view;
+mod way;
 
 use std::io::{self, IsTerminal as _};
 use std::time::Duration;
 
 use mom_arm::{ArmState, Status, Velocity};
 use mom_client::{
-    Client, ClientError, Delivery, Event, Events, Family, LinkState, Parcel, Path, TokenGuard, from_value,
+    Client, ClientError, Code, Delivery, Event, Events, Family, LinkState, Parcel, Path, TokenGuard,
+    from_value,
 };
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
 use self::hand::{Action, Hand};
 use self::view::View;
+use self::way::Way;
 use crate::cli::{self, GlobalArgs};
 use crate::commands::drive;
 use crate::connect::{Stay, connect};
@@ -28,6 +31,9 @@ const AGAIN: Duration = Duration::from_millis(80);
 
 /// For how long each holds: what is late on the way is dropped, and the hand rests soon after the last.
 const HOLDS: Duration = Duration::from_millis(250);
+
+/// So long the hub may take to measure this program's clock, without which it passes on no command that expires.
+const MEASURED: Duration = Duration::from_secs(3);
 
 /// What `mom jog` drives.
 struct Drive {
@@ -85,10 +91,11 @@ impl Drive {
         interrupt: &mut Interrupt,
         output: Output,
     ) -> Result<(), Failure> {
-        let end = Instant::now() + time;
+        let begin = Instant::now();
+        let mut end = begin + time;
         let mut again = interval(AGAIN);
         again.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let mut state = None;
+        let (mut state, mut way) = (None, Way::new(velocity, time));
         loop {
             tokio::select! {
                 () = interrupt.wait() => return Err(Failure::plain("interrupted; the hand comes to rest")),
@@ -96,6 +103,12 @@ impl Drive {
                 event = self.events.next() => {
                     let event = event.ok_or_else(|| Failure::plain("the connection to the hub is closed"))?;
                     self.refusal(&event)?;
+                    way.see(&event);
+                    if is_unmeasured(&event) && begin.elapsed() < MEASURED {
+                        // Nothing moves before that, so the time begins anew.
+                        end = Instant::now() + time;
+                        way.begin_anew();
+                    }
                     state = state_in(&event).or(state);
                     // At rest, and no more is to come.
                     if let Some(state) = state.as_ref().filter(|state| Instant::now() >= end && !state.moving) {
@@ -104,10 +117,11 @@ impl Drive {
                             || serde_json::json!({"x": pose.x, "y": pose.y, "z": pose.z, "spin": pose.spin, "tilt": pose.tilt}),
                             || format!("at rest at {:.1} {:.1} {:.1} {:.1} {:.1}", pose.x, pose.y, pose.z, pose.spin, pose.tilt),
                         )?;
-                        return Ok(());
+                        return way.end(&pose, output);
                     }
                 }
                 _ = again.tick(), if Instant::now() < end => {
+                    way.said += 1;
                     let left = end.saturating_duration_since(Instant::now());
                     self.say(&jog(velocity, HOLDS.min(left))).await?;
                 }
@@ -208,6 +222,11 @@ impl Drive {
 fn jog(velocity: Velocity, time: Duration) -> String {
     let [x, y, z, spin, tilt] = velocity.numbers();
     format!("jog {x} {y} {z} {spin} {tilt} {}", time.as_millis().max(1))
+}
+
+/// Whether the hub refuses what expires, as it does not know yet how old it is.
+fn is_unmeasured(event: &Event) -> bool {
+    matches!(event, Event::Refused(error, _) if error.code == Code::TRY_LATER)
 }
 
 fn state_in(event: &Event) -> Option<ArmState> {

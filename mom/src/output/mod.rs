@@ -40,8 +40,8 @@ impl Output {
     /// One result, in the one form or the other.
     pub(crate) fn tell(self, json: impl FnOnce() -> Json, human: impl FnOnce() -> String) -> io::Result<()> {
         match self.json {
-            true => self.line(json()),
-            false => self.line(human()),
+            true => self.line(&words::shown_json(&json().to_string())),
+            false => self.line(&words::shown(&human())),
         }
     }
 
@@ -49,14 +49,14 @@ impl Output {
     pub(crate) fn human(self, line: impl Display) -> io::Result<()> {
         match self.json {
             true => Ok(()),
-            false => self.line(line),
+            false => self.line(&words::shown(&line.to_string())),
         }
     }
 
     /// A remark beside the results, for people.
     pub(crate) fn remark(self, text: impl Display) {
         if !self.json {
-            self.complain(text);
+            self.complain(&words::shown(&text.to_string()));
         }
     }
 
@@ -65,8 +65,8 @@ impl Output {
         let code = failure.exit_code();
         if code != 0 && !matches!(failure, Failure::Told) {
             match self.json {
-                true => self.complain(failure_json(failure)),
-                false => self.complain(failure_text(failure)),
+                true => self.complain(&words::shown_json(&failure_json(failure).to_string())),
+                false => self.complain(&words::shown(&failure_text(failure))),
             }
         }
         ExitCode::from(code)
@@ -79,14 +79,14 @@ impl Output {
         stdout.flush()
     }
 
-    fn line(self, line: impl Display) -> io::Result<()> {
+    fn line(self, line: &str) -> io::Result<()> {
         let mut stdout = anstream::stdout().lock();
         writeln!(stdout, "{line}")?;
         stdout.flush()
     }
 
     // If standard error is closed nobody can be told.
-    fn complain(self, text: impl Display) {
+    fn complain(self, text: &str) {
         let _ = writeln!(anstream::stderr().lock(), "{text}");
     }
 }

@@ -3,6 +3,7 @@
 use mom_client::{Code, Refusal as Details, Value, WireError, ordinal};
 
 use super::words;
+use crate::failure::HINT;
 
 /// The first line of a refusal, and below it what is known, each with its label.
 #[derive(Debug, PartialEq)]
@@ -38,7 +39,10 @@ pub(crate) fn refusal(what: &str, error: &WireError) -> RefusalText {
         string(error, "nearest").map(|nearest| format!("did you mean {nearest}?")),
     );
     fact("code", Some(format!("{} ({})", error.code, error.code.number())));
-    fact("try", hint(error).map(str::to_owned));
+    fact(
+        "try",
+        string(error, HINT).or_else(|| hint(error).map(str::to_owned)),
+    );
     RefusalText {
         headline: format!("{what}: {text}"),
         facts,

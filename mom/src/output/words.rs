@@ -1,5 +1,6 @@
 //! Durations, sizes and foreign text as people read them.
 
+use std::borrow::Cow;
 use std::time::Duration;
 
 use mom_client::{Content, HISTORY, Map, Parcel, StopState, Value};
@@ -7,7 +8,80 @@ use mom_client::{Content, HISTORY, Map, Parcel, StopState, Value};
 /// Beyond this a line is cut where a person reads it; JSON is never cut.
 const LONGEST: usize = 200;
 
-pub(crate) use mom_client::{plain_duration as duration, visible};
+pub(crate) use mom_client::plain_duration as duration;
+
+/// Text of others on one line, without anything that would act on the terminal.
+pub(crate) fn visible(text: &str) -> String {
+    shown(&mom_client::visible(text)).into_owned()
+}
+
+/// A line of ours as it goes to the terminal: whatever text of others has got into it, nothing but our own colours acts there.
+pub(crate) fn shown(line: &str) -> Cow<'_, str> {
+    if !line.chars().any(acts_in_a_line) {
+        return Cow::Borrowed(line);
+    }
+    let mut shown = String::with_capacity(line.len());
+    let mut rest = line;
+    while let Some(c) = rest.chars().next() {
+        let colour = colour(rest);
+        let (taken, after) = rest.split_at(colour.unwrap_or(c.len_utf8()));
+        match colour.is_none() && acts_in_a_line(c) {
+            true => shown.extend(c.escape_default()),
+            false => shown.push_str(taken),
+        }
+        rest = after;
+    }
+    Cow::Owned(shown)
+}
+
+/// The same for a line of JSON, whose strings stay what they are to a program.
+pub(crate) fn shown_json(json: &str) -> String {
+    let mut shown = String::with_capacity(json.len());
+    for c in json.chars() {
+        match acts(c) {
+            true => {
+                let mut units = [0; 2];
+                let units = c.encode_utf16(&mut units).iter();
+                shown.extend(units.map(|unit| format!("\\u{unit:04x}")));
+            }
+            false => shown.push(c),
+        }
+    }
+    shown
+}
+
+/// The bytes of a change of colour at the beginning of a text.
+fn colour(text: &str) -> Option<usize> {
+    let codes = text.strip_prefix("\u{1b}[")?;
+    let end = codes.find(|c: char| !c.is_ascii_digit() && c != ';')?;
+    codes[end..]
+        .starts_with('m')
+        .then_some(text.len() - codes.len() + end + 1)
+}
+
+/// The same, but for what ends or parts our own lines.
+fn acts_in_a_line(c: char) -> bool {
+    acts(c) && !matches!(c, '\n' | '\t')
+}
+
+/// Whether a character moves the cursor, turns the direction of text, or is not seen. Those that join letters and pictures are text.
+fn acts(c: char) -> bool {
+    c.is_control()
+        || matches!(
+            c,
+            '\u{AD}'
+                | '\u{61C}'
+                | '\u{180E}'
+                | '\u{200B}'
+                | '\u{200E}'
+                | '\u{200F}'
+                | '\u{2028}'..='\u{202E}'
+                | '\u{2060}'..='\u{206F}'
+                | '\u{FEFF}'
+                | '\u{FFF9}'..='\u{FFFB}'
+                | '\u{E0000}'..='\u{E007F}'
+        )
+}
 
 /// A duration in ms, for JSON.
 pub(crate) fn in_millis(duration: Duration) -> u64 {
@@ -196,6 +270,33 @@ mod tests {
         ] {
             assert_eq!(extent(time, commands), words);
         }
+    }
+
+    #[test]
+    fn nothing_but_our_colours_acts_on_the_terminal() {
+        for (line, shown_as) in [
+            ("two\nlines", "two\nlines"),
+            (
+                "\u{1b}[1;31mrefused:\u{1b}[0m no",
+                "\u{1b}[1;31mrefused:\u{1b}[0m no",
+            ),
+            ("a\u{1b}[2Jb\u{1b}]0;x\u{7}", "a\\u{1b}[2Jb\\u{1b}]0;x\\u{7}"),
+            ("\u{1b}[31", "\\u{1b}[31"),
+            ("al\u{202e}eci\u{2069}", "al\\u{202e}eci\\u{2069}"),
+            ("bob\u{200b}\u{61c}\u{feff}", "bob\\u{200b}\\u{61c}\\u{feff}"),
+            (
+                "\u{1f468}\u{200d}\u{1f469} \u{645}\u{200c}",
+                "\u{1f468}\u{200d}\u{1f469} \u{645}\u{200c}",
+            ),
+        ] {
+            assert_eq!(shown(line), shown_as);
+        }
+        assert_eq!(visible("bob\u{61c}\n"), "bob\\u{61c}\\n");
+        let json = r#"{"text":"a\u{202e}b\u{e0041}"}"#.replace("\\u{202e}", "\u{202e}");
+        let json = json.replace("\\u{e0041}", "\u{e0041}");
+        assert_eq!(shown_json(&json), r#"{"text":"a\u202eb\udb40\udc41"}"#);
+        let read = serde_json::from_str::<serde_json::Value>(&shown_json(&json)).unwrap();
+        assert_eq!(read["text"], "a\u{202e}b\u{e0041}");
     }
 
     #[test]

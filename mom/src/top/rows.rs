@@ -152,8 +152,8 @@ pub(super) fn summary(sample: &Sample, rates: Option<Rates>) -> String {
     let mut parts = vec![words::count(sample.connections(), "connection")];
     if let Some(memory) = &sample.stats.memory {
         parts.push(match memory.bound {
-            Some(bound) => format!("memory {} of {}", bytes(memory.used), bytes(bound)),
-            None => format!("memory {}", bytes(memory.used)),
+            Some(bound) => format!("hub keeps {} of at most {}", bytes(memory.used), bytes(bound)),
+            None => format!("hub keeps {}", bytes(memory.used)),
         });
     }
     if let Some(rates) = rates {
@@ -298,7 +298,7 @@ mod tests {
             anstream::adapter::strip_str(&shown).to_string(),
             "\
 bin://lab   1970-01-01 00:00:00 UTC
-6 connections   memory 1.0 MiB of 2.0 MiB
+6 connections   hub keeps 1.0 MiB of at most 2.0 MiB
 /robot/arm: stopped by bob (smoke\\u{7}), and 1 more; mom tree shows all
 peer          user          door            from           silent  round trip    queue  drops  tokens
 alice         alice         tcp binary      127.0.0.1  1 min 30 s     0.42 ms  2.0 KiB      3  /robot/token

@@ -85,7 +85,7 @@ fn the_picture() {
         lines(&mut view, 120, 8),
         [
             "mom top  bin://lab                                                                               1970-01-01 00:00:00 UTC",
-            "2 connections   memory 1.0 MiB of 2.0 MiB",
+            "2 connections   hub keeps 1.0 MiB of at most 2.0 MiB",
             "/robot/arm: stopped by bob",
             "peer            user   door                from        silent  round trip    queue  drops  tokens",
             "alice           alice  tcp binary          127.0.0.1  0.00 ms     0.42 ms      0 B      0  /robot/token",

@@ -77,8 +77,8 @@ impl std::error::Error for ModelError {}
 /// A fault at bytes of the text.
 #[derive(Debug)]
 pub(crate) struct Found {
-    fault: Fault,
-    start: usize,
+    pub(crate) fault: Fault,
+    pub(crate) start: usize,
     text: String,
 }
 

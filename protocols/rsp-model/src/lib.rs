@@ -1,6 +1,7 @@
 //! Models of robots (S4 to S6), and what is made of them.
 //!
-//! A model is a TOML file; [`Model::read`] reads and checks it, and what is wrong is a [`ModelError`] with line and column.
+//! A model is a TOML file; [`Model::read`] reads and checks it, and what is wrong is a [`ModelError`] with line and column, of
+//! which [`Model::faults`] gives all.
 //! The packets of `mom-rsp` need its [`Layout`](mom_rsp::Layout), whose hash both ends must have alike.
 //!
 //! ```
@@ -33,6 +34,7 @@ mod canonical;
 mod check;
 mod export;
 mod fault;
+mod faults;
 pub mod generate;
 mod keys;
 mod model;

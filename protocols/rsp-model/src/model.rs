@@ -3,7 +3,7 @@
 use mom_rsp::{Element, Kind, Layout, Motion, Number, Payload, Sound};
 
 use crate::fault::ModelError;
-use crate::{canonical, check, export, text, xmi};
+use crate::{canonical, check, export, faults, text, xmi};
 
 /// Bytes of a packet's header (S14).
 pub const HEADER: usize = 20;
@@ -135,6 +135,17 @@ impl Model {
     pub fn read(text: &str) -> Result<Model, ModelError> {
         let read = || check::model(&text::of_toml(text)?);
         read().map_err(|found| found.at(text))
+    }
+
+    /// All that is wrong in the text of a TOML file, in the order of the places, 50 faults at most; none in a model that can be read.
+    /// Of an element whose kind, type or numbers are at fault nothing more is told. A file that is no TOML has one fault, the first.
+    #[must_use]
+    pub fn faults(text: &str) -> Vec<ModelError> {
+        let found = match text::of_toml(text) {
+            Ok(source) => faults::all(source),
+            Err(found) => vec![found],
+        };
+        found.into_iter().map(|found| found.at(text)).collect()
     }
 
     /// Reads a model from an XMI file, as Eclipse UML2 writes it; `docs/rsp-model.md` says which part of XMI is read.

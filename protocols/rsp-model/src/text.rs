@@ -53,7 +53,7 @@ pub(crate) struct Section {
 }
 
 /// A file.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Source {
     pub(crate) root: Section,
     pub(crate) elements: Vec<Section>,

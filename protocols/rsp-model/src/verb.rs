@@ -76,7 +76,8 @@ Examples:
   mom rsp import robot.xmi --out robot.toml";
 
 const CHECK: &str = "\
-Says the model's hash, which both ends must have alike, and how large packets are when everything is in them.
+Says the model's hash, which both ends must have alike, and how large packets are when everything is in them; or all that is wrong,
+each with line and column. Of an element whose kind, type or numbers are wrong it says the first mistake.
 
 Examples:
   mom rsp check config/cubo.toml
@@ -140,7 +141,7 @@ type Make = fn(&Model) -> String;
 /// A file that cannot be read or written, a model in which something is wrong, with its place.
 pub fn run(args: &VerbArgs, tell: Tell<'_>) -> Result<(), RspFailure> {
     match &args.task {
-        RspTask::Check { model } => check(&read(model, Model::read)?, tell),
+        RspTask::Check { model } => check(&read_model(model)?, tell),
         RspTask::Generate {
             model,
             rust,
@@ -149,7 +150,7 @@ pub fn run(args: &VerbArgs, tell: Tell<'_>) -> Result<(), RspFailure> {
             docs,
             out,
         } => {
-            let model = read(model, Model::read)?;
+            let model = read_model(model)?;
             let in_folder = |ending: &str| {
                 let folder = out.as_ref()?;
                 Some(folder.join(format!("{}.{ending}", model.name())))
@@ -176,7 +177,8 @@ pub fn run(args: &VerbArgs, tell: Tell<'_>) -> Result<(), RspFailure> {
             Ok(())
         }
         RspTask::Import { file, out } => {
-            let toml = read(file, Model::import_xmi)?.to_toml();
+            let model = Model::import_xmi(&text_of(file)?).map_err(|error| wrong(file, &error))?;
+            let toml = model.to_toml();
             match out {
                 Some(out) => write(out, &toml, tell),
                 None => {
@@ -196,12 +198,28 @@ fn rust_for(ends: RustEnds) -> Make {
     }
 }
 
-fn read(file: &Path, reader: fn(&str) -> Result<Model, crate::ModelError>) -> Result<Model, RspFailure> {
-    let text = fs::read_to_string(file).map_err(|error| of_file("read", file, &error))?;
-    reader(&text).map_err(|error| RspFailure::Failed {
+/// A model, or all that is wrong in its file.
+fn read_model(file: &Path) -> Result<Model, RspFailure> {
+    let text = text_of(file)?;
+    Model::read(&text).map_err(|first| match Model::faults(&text).as_slice() {
+        several @ [_, _, ..] => {
+            let lines: Vec<String> = several.iter().map(|fault| format!("\n  {fault}")).collect();
+            let text = format!("{}: {} mistakes{}", file.display(), several.len(), lines.concat());
+            RspFailure::Failed { text, hint: None }
+        }
+        _ => wrong(file, &first),
+    })
+}
+
+fn text_of(file: &Path) -> Result<String, RspFailure> {
+    fs::read_to_string(file).map_err(|error| of_file("read", file, &error))
+}
+
+fn wrong(file: &Path, error: &crate::ModelError) -> RspFailure {
+    RspFailure::Failed {
         text: format!("{}: {error}", file.display()),
         hint: None,
-    })
+    }
 }
 
 fn write(file: &Path, text: &str, tell: Tell<'_>) -> Result<(), RspFailure> {

@@ -110,10 +110,19 @@ fn failures_say_which_file_and_where() {
             .0
             .starts_with(&format!("cannot read {file}: "))
     );
-    fs::write(&file, "nome = \"x\"\n").unwrap();
+    let sensor = "id = 7\n[[element]]\nname = \"heat\"\nkind = \"sensor\"\ntype = \"u8\"\n";
+    fs::write(&file, format!("nome = \"x\"\n{sensor}")).unwrap();
     assert_eq!(
         failure(&["check", &file]).0,
         format!("{file}: line 1, column 1: there is no key `nome`; did you mean `name`?")
+    );
+    fs::write(&file, format!("name = \"X\"\n{sensor}uint = \"K\"\n")).unwrap();
+    assert_eq!(
+        failure(&["check", &file]).0,
+        format!(
+            "{file}: 2 mistakes\n  line 1, column 8: `X` is no name: lower-case letters and digits, a letter first, `-` between them, at most 48\n  \
+             line 7, column 1: there is no key `uint`; did you mean `unit`?"
+        )
     );
     let (text, hint) = failure(&["generate", &config("cubo.toml")]);
     assert_eq!(text, "nothing is to be written");

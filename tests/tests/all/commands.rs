@@ -3,7 +3,7 @@
 use std::process::{Output, Stdio};
 
 use mom_broker::Broker;
-use mom_client::{Client, Event, Events, Map};
+use mom_client::{Client, Event, Events, Family, Map, Parcel, Path, Value};
 use mom_tests::lab;
 use mom_tests::programs::{PATIENCE, Running, program, text};
 use tokio::io::AsyncWriteExt as _;
@@ -367,5 +367,73 @@ async fn a_chair_answers_the_hub_s_questions() {
         &["bob (level 1) wants to grab /desk/token", "denied", "allowed"],
     );
     assert_eq!(interrupted(bob).await, Some(0));
+    desk.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn where_no_camera_answers_the_newest_picture_is_taken_and_said_to_be_old() {
+    let desk = Desk::start("open").await;
+    let spec = Map::new()
+        .with("kind", "channel")
+        .with("manager", "open")
+        .with("keep", Map::new().with("latest", true));
+    desk.carol
+        .create("/desk/eye", spec)
+        .await
+        .expect("an operator may");
+    let _eye = desk.carol.channel("/desk/eye").await.expect("made just now");
+    let mut image = Parcel::new(Family::Message, "image")
+        .context(Path::parse("/desk/eye").expect("a path"))
+        .content(
+            Map::new()
+                .with("media-type", "image/jpeg")
+                .with("image", Value::Binary(b"a picture".to_vec().into())),
+        );
+    image.receipt = Some(true);
+    desk.carol.request(image).await.expect("it is passed on");
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("eye.jpg");
+    let file = file.to_str().expect("text");
+    let snap = ["snap", "eye", "--session", "/desk", "--output", file];
+    let kept = desk.run_as("alice", &[&snap[..], &["--json"]].concat(), "").await;
+    check(&kept, 0, &[r#""kept":true"#, r#""age-ms":"#, r#""taken":""#]);
+    assert_eq!(std::fs::read(file).expect("it is written"), b"a picture");
+    let kept = desk.run_as("alice", &snap, "").await;
+    check(
+        &kept,
+        0,
+        &["no camera answers: this is the newest picture in the channel, and "],
+    );
+    let strict = [&snap[..], &["--fresh", "--timeout", "500ms"]].concat();
+    let refused = desk.run_as("alice", &strict, "").await;
+    check(&refused, 1, &["no camera answers in /desk/eye within 0.5 s"]);
+    desk.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_looks_for_an_arm_at_a_fleet_is_pointed_to_the_fleet() {
+    let desk = Desk::start("open").await;
+    let run = ["run", "--channel", "/nowhere/arm", "-"];
+    let nowhere = desk.run_as("alice", &run, "home").await;
+    check(
+        &nowhere,
+        1,
+        &["`mom tree` shows what there is", "unknown-path (210)"],
+    );
+    let fleet = Map::new().with("kind", "session").with("manager", "open");
+    desk.carol.create("/fleet", fleet).await.expect("an operator may");
+    for args in [
+        &run[..],
+        &["jog", "--channel", "/nowhere/arm", "50", "0", "0", "0", "0"],
+        &["snap", "--session", "/nowhere"],
+        &["camera", "x", "--session", "/nowhere"],
+    ] {
+        let told = desk.run_as("alice", args, "home").await;
+        check(
+            &told,
+            1,
+            &["this hub has a fleet: mom fleet list", "unknown-path (210)"],
+        );
+    }
     desk.end().await;
 }

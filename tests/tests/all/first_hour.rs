@@ -155,8 +155,8 @@ async fn a_broker_of_one_s_own_runs_as_readme_says() {
     // On a port that is free here.
     let config = format!("listen = [\"127.0.0.1:0\"]\n{config}");
     std::fs::write(folder.path().join("mom.toml"), config).expect("written");
-    let [users, programs] = &own_broker("sh")[..] else {
-        panic!("two blocks of commands")
+    let [passwd, devices, broker, arm, tree] = &own_broker("sh")[..] else {
+        panic!("a block for each terminal, and for what asks for a password")
     };
     let path = format!("{}:{}", bin.display(), std::env::var("PATH").expect("text"));
     let shell = |script: &str, hub: &str| {
@@ -169,16 +169,22 @@ async fn a_broker_of_one_s_own_runs_as_readme_says() {
             .kill_on_drop(true);
         shell
     };
-    let made = shell(users, "").output().await.expect("a shell");
+    let made = shell(&format!("{passwd}{devices}"), "")
+        .output()
+        .await
+        .expect("a shell");
     assert!(
         made.status.success(),
         "{}",
         text(&made.stdout) + &text(&made.stderr)
     );
-    let programs: Vec<&str> = programs.lines().collect();
-    let [broker, arm, tree] = programs[..] else {
-        panic!("{programs:?}")
-    };
+    for one in [passwd, broker, arm, tree] {
+        assert_eq!(
+            one.lines().count(),
+            1,
+            "{one}: what goes on, or asks, is alone in its block"
+        );
+    }
     let log = std::fs::File::create(folder.path().join("log")).expect("a file");
     let mut broker = shell(&format!("exec {broker}"), "")
         .stdout(log)

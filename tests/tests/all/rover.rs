@@ -323,6 +323,31 @@ async fn a_file_is_fed_statement_by_statement() {
     );
 }
 
+/// The first motion of a new owner waits until the robot rests, and is too old by then; it was not begun.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_was_too_old_to_begin_is_fed_again() {
+    let (_broker, hub) = broker("convoy.toml");
+    let _a = rover(&hub, "rover-a", &["--name", "a", "--pull", "300"]);
+    let alice = arrive(&hub, "alice").await;
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("round.txt");
+    std::fs::write(&file, "motor 50 50 200\n").expect("it is written");
+    let file = file.to_str().expect("a path");
+    let fed = ["fleet", "feed", file, "--robot", "/rover/a", "--within", "100"];
+    // A program that starts slowly finds it at rest.
+    for _ in 0..5 {
+        let (_, mut events, guard) = drive(&alice, "a").await;
+        let done = feed(&alice, &mut events, guard.fence(), "motor 800 800 400", PATIENCE).await;
+        assert!(done.get("error").is_none(), "{done:?}");
+        guard.release().await.expect("it is hers");
+        let (done, said) = typed(&hub, &fed).await;
+        assert!(done && said.contains("finished  motor 50 50 200"), "{said}");
+        if said.contains("too-old") {
+            break;
+        }
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn one_stands_beside_the_robots_of_a_gateway() {
     let (_broker, hub) = broker("fleet.toml");

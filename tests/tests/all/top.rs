@@ -51,7 +51,7 @@ async fn once_for_people_and_for_scripts() {
     assert_eq!(row("bob").last(), Some(&"/robot/token"), "{shown}");
     assert_eq!(row("alice")[2..4], ["tcp", "xml"], "{shown}");
     assert!(
-        shown.contains("2 connections   memory ") && shown.contains(&hub),
+        shown.contains("2 connections   hub keeps ") && shown.contains(&hub),
         "{shown}"
     );
 

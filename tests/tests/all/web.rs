@@ -225,7 +225,12 @@ async fn a_session_sees_what_its_user_may_see() {
     // The session itself is a peer, inside the hub's process.
     assert_eq!(
         (&peers["peers"][0]["user"], &peers["peers"][0]["door"]),
-        (&json!("alice"), &json!("local"))
+        (&json!("alice"), &json!("http"))
+    );
+    // It leaves her the plain name for what she types.
+    assert_eq!(
+        (&opened.json()["peer"], &peers["peers"][0]["peer"]),
+        (&json!("alice@http"), &json!("alice@http"))
     );
     let nothing = get(&broker, "/api/contexts/no%20thing", &[&cookie]).await;
     assert_eq!(

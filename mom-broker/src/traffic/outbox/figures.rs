@@ -38,6 +38,8 @@ pub(crate) struct LoginFacts {
     /// Nobody between can read along, as the hub or a proxy that it trusts knows.
     pub(crate) tls: bool,
     pub(crate) since: Time,
+    /// By HTTP, through a peer inside this process.
+    pub(crate) visit: bool,
 }
 
 /// One peer that has logged in, at one moment.
@@ -74,7 +76,10 @@ impl PeerFigures {
 
     /// The word for what carries it.
     pub(crate) fn door(&self) -> &'static str {
-        self.door.map_or("local", Door::word)
+        match self.login.visit {
+            true => "http",
+            false => self.door.map_or("local", Door::word),
+        }
     }
 
     pub(crate) fn to_map(&self) -> Map {

@@ -6,11 +6,17 @@ use mom_broker::UserEntry;
 use mom_camera::{CameraOptions, View};
 use mom_client::Fingerprint;
 use mom_model::ModelOptions;
+use mom_wheels::Simulated;
 use serde_json::{Value as Json, json};
 
 use super::cubo::PATH as CUBO;
 use super::{Kind, TWO_ARMS, USUAL};
 use crate::output::style::{Tone, ink, padded};
+
+/// So many robots of a fleet are proposed to drive: more lines nobody reads.
+const FORMED: usize = 3;
+/// How far each drives, in mm: less than its neighbours are away.
+const ASIDE: f64 = 300.0;
 
 /// The token of an arm's channel.
 fn token_of(channel: &str) -> String {
@@ -20,6 +26,19 @@ fn token_of(channel: &str) -> String {
 /// The URL of a robot's page.
 fn page_of(address: &SocketAddr) -> String {
     format!("http://{address}/")
+}
+
+/// Lines by which the first robots drive, each to a point of its own between its neighbours', and then all blink.
+fn formation(robots: u16) -> String {
+    let goals = Simulated::fleet(robots)
+        .into_iter()
+        .take(FORMED)
+        .zip(1..)
+        .map(|(mut robot, unit)| {
+            let at = robot.pose(0);
+            format!("{unit}: goto {:.0} {:.0}\\n", at.x + ASIDE, at.y + ASIDE / 2.0)
+        });
+    format!("{}---\\nall: leds 255\\n", goals.collect::<String>())
 }
 
 /// The summary of a running lab.
@@ -105,7 +124,7 @@ impl LabSummary {
         lines.extend(match self.kind {
             Kind::Arm => self.proposals(),
             Kind::TwoArms => self.proposals_for_two(),
-            Kind::Fleet { together, .. } => self.proposals_for_fleet(together),
+            Kind::Fleet { robots, together } => self.proposals_for_fleet(robots, together),
             Kind::Cubo => self.proposals_for_cubo(),
         });
         lines.join("\n")
@@ -271,7 +290,7 @@ impl LabSummary {
     }
 
     /// What to type next, with a fleet.
-    fn proposals_for_fleet(&self, together: bool) -> Vec<String> {
+    fn proposals_for_fleet(&self, robots: u16, together: bool) -> Vec<String> {
         let program = &self.program;
         let person = |name: &str| format!("export {}MOM_USER={name} MOM_PASSWORD={name}", self.hub());
         let command = |text: &str| format!("  {}", ink(text.replace("MOM", program), Tone::Command));
@@ -286,7 +305,7 @@ impl LabSummary {
             command("MOM fleet list"),
             command("MOM snap camera --session /fleet/1"),
             command("MOM fleet send 1 'motor 200 200 1000; leds 255'"),
-            command("MOM fleet send all 'via 1000 1000 2000 1000'"),
+            command(&format!("printf '{}' | MOM fleet run -", formation(robots))),
             command("MOM stop /fleet"),
             command("MOM unstop /fleet"),
             "and meanwhile, in a third one, as carol, who may take what alice has:".to_owned(),
@@ -408,6 +427,19 @@ mod tests {
                 && !other.contains("http://"),
             "{other}"
         );
+    }
+
+    #[test]
+    fn each_robot_of_the_fleet_is_sent_to_a_point_of_its_own() {
+        assert_eq!(
+            formation(10),
+            "1: goto 800 650\\n2: goto 1800 650\\n3: goto 2800 650\\n---\\nall: leds 255\\n"
+        );
+        assert_eq!(
+            formation(3),
+            "1: goto 800 650\\n2: goto 1800 650\\n3: goto 800 1650\\n---\\nall: leds 255\\n"
+        );
+        assert_eq!(formation(1), "1: goto 800 650\\n---\\nall: leds 255\\n");
     }
 
     #[test]

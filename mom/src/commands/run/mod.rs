@@ -124,10 +124,18 @@ pub(crate) async fn drive(
     channel: &str,
     token: &str,
 ) -> Result<(Channel, Token, TokenGuard), Failure> {
-    let joined = client.channel(channel).await.doing(format!("join {channel}"))?;
+    let joined = join_device(client, channel).await?;
     let held = client.token(token).await.doing(format!("join {token}"))?;
     let guard = held.grab().await.doing(format!("grab {token}"))?;
     Ok((joined, held, guard))
+}
+
+/// Joins a device's channel; where there is none, a fleet is pointed at.
+pub(crate) async fn join_device(client: &Client, channel: &str) -> Result<Channel, Failure> {
+    match client.channel(channel).await.doing(format!("join {channel}")) {
+        Err(failure) => Err(failure.at_a_fleet(client).await),
+        joined => joined,
+    }
 }
 
 /// Grabs zones, after the robot's token: a robot lets its driver have the one in which it stands.

@@ -5,8 +5,8 @@ use std::future::Future;
 use std::path::Path;
 use std::time::Duration;
 
-use mom_client::{Client, Code, Event, Parcel, Value};
-use mom_device::Script;
+use mom_client::{Client, Code, Event, Parcel, Value, WireError};
+use mom_device::{ErrorName, Script};
 use mom_drive::{DeviceChannel, Holding, Tell, VerbFailure, WorkEnd, closed, lost_words, refusal};
 use serde_json::json;
 use tokio::time::timeout;
@@ -43,6 +43,12 @@ pub(super) fn statements(file: &Path) -> Result<VecDeque<String>, VerbFailure> {
         .filter(|statement| !statement.is_empty())
         .map(str::to_owned)
         .collect())
+}
+
+/// Whether a robot that refuses a statement has not begun it, and asks again. The first one of a new owner may wait in the robot until
+/// that knows that it rests, and be too old by then.
+fn is_handed_out_again(error: &WireError) -> bool {
+    error.code == Code::EXPIRED || error.code.word() == ErrorName::TooOld.as_str()
 }
 
 impl Feeding<'_> {
@@ -107,11 +113,11 @@ impl Feeding<'_> {
                             Some("finished") => break,
                             Some("error") => {
                                 let error = refusal(content.get("error").unwrap_or(&Value::default()));
-                                // The robot asks again.
-                                if error.code != Code::EXPIRED {
+                                if !is_handed_out_again(&error) {
                                     let what = format!("have {} do {statement:?}", self.robot);
                                     return Err(VerbFailure::Refused { what, error });
                                 }
+                                taken = false;
                                 tell(
                                     json!({"state": "expired", "statement": statement, "error": error.text}),
                                     format!("expired   {statement}: {error}"),
@@ -157,5 +163,24 @@ impl Feeding<'_> {
             format!("{} asks for nothing", self.robot),
             "start it with mom-rover --pull, let it go with mom unstop, or drive it with mom fleet send",
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use mom_device::DeviceError;
+
+    use super::*;
+
+    #[test]
+    fn what_a_robot_has_not_begun_is_handed_out_again() {
+        let refused = |name| {
+            let error = DeviceError::new(name, "the command waited 640 ms longer than it is good for");
+            let told = mom_client::to_value(&error).expect("a map");
+            is_handed_out_again(&refusal(&told))
+        };
+        assert!(refused(ErrorName::TooOld));
+        assert!(!refused(ErrorName::Obstacle) && !refused(ErrorName::Halted));
+        assert!(is_handed_out_again(&WireError::new(Code::EXPIRED, "late")));
     }
 }

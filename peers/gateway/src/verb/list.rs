@@ -120,11 +120,43 @@ fn line(unit: u32, row: Option<&Row>) -> String {
     }
     let owner = content.get("owner").and_then(Value::as_str);
     line += &format!("  {:<12}", owner.unwrap_or("free"));
-    if let (Some(x), Some(y), Some(heading)) = (int("x"), int("y"), int("heading")) {
-        line += &format!("  at {x} {y} mm, {heading}°");
+    match (int("x"), int("y"), int("heading")) {
+        // It may have been carried away since.
+        _ if !is("linked") => line += "  place unknown, lost",
+        (Some(x), Some(y), Some(heading)) => line += &format!("  at {x} {y} mm, {heading}°,"),
+        _ => {}
     }
     if let Some(age) = age_ms {
-        line += &format!(", {age:.0} ms ago");
+        line += &format!(" {age:.0} ms ago");
     }
     line
+}
+
+#[cfg(test)]
+mod tests {
+    use mom_client::Map;
+
+    use super::*;
+
+    #[test]
+    fn nobody_is_told_where_a_lost_robot_was() {
+        let row = |linked: bool| Row {
+            content: Map::new()
+                .with("linked", linked)
+                .with("x", 2500)
+                .with("y", 500)
+                .with("heading", 90)
+                .into(),
+            age_ms: Some(12.0),
+        };
+        let said = |linked| line(7, Some(&row(linked)));
+        assert_eq!(
+            said(true),
+            "    7  standing  free          at 2500 500 mm, 90°, 12 ms ago"
+        );
+        assert_eq!(
+            said(false),
+            "    7  lost      free          place unknown, lost 12 ms ago"
+        );
+    }
 }

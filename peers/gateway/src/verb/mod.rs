@@ -32,7 +32,8 @@ pub struct VerbArgs {
 /// What to do with a fleet.
 #[derive(Debug, clap::Subcommand)]
 pub enum FleetTask {
-    /// Show each robot: whether it is connected, its battery, round trip, owner, pose, and how old that is
+    /// Show each robot: whether it is connected, its battery, round trip, owner, pose, and how old that is. One that moves
+    /// is told of once a second, one that stands when something changes: what is old there is still so
     List,
     /// Grab the tokens of robots, have each carry out a script, and give the tokens back
     #[command(after_help = SEND)]
