@@ -1,5 +1,6 @@
 //! What the lab and README print is what a newcomer types: all of it runs, and runs again.
 
+use std::path::PathBuf;
 use std::process::{Command, Output, Stdio};
 
 use mom_client::{Client, Event};
@@ -142,6 +143,18 @@ fn own_broker(language: &str) -> Vec<String> {
     blocks.map(str::to_owned).collect()
 }
 
+/// The address of a hub, once the log of its broker says it.
+async fn where_it_listens(log: PathBuf) -> String {
+    loop {
+        let said = std::fs::read_to_string(&log).expect("its words");
+        let rest = said.split("tcp://").nth(1).unwrap_or_default();
+        if let Some(address) = rest.split_whitespace().next().filter(|_| said.ends_with('\n')) {
+            return format!("bin://{address}");
+        }
+        tokio::task::yield_now().await;
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_broker_of_one_s_own_runs_as_readme_says() {
     let bin = spawn_blocking(|| ["mom", "mom-broker", "mom-arm"].map(program))
@@ -190,21 +203,8 @@ async fn a_broker_of_one_s_own_runs_as_readme_says() {
         .stdout(log)
         .spawn()
         .expect("a shell");
-    let said = || std::fs::read_to_string(folder.path().join("log")).expect("its words");
-    let looked = timeout(PATIENCE, async {
-        loop {
-            let said = said();
-            let address = said
-                .split("tcp://")
-                .nth(1)
-                .and_then(|rest| rest.split_whitespace().next());
-            if let Some(address) = address.filter(|_| said.ends_with('\n')) {
-                return format!("bin://{address}");
-            }
-            tokio::task::yield_now().await;
-        }
-    });
-    let hub = looked.await.expect("it says where it listens");
+    let listens = where_it_listens(folder.path().join("log"));
+    let hub = timeout(PATIENCE, listens).await.expect("it says where");
     let mut arm = shell(&format!("exec {arm}"), &hub).spawn().expect("a shell");
     let arm_is_there = async {
         loop {

@@ -63,6 +63,17 @@ fn say(number: i64) -> Parcel {
         .content(number)
 }
 
+/// Says between the numbers what is not kept, and what overtakes all that waits.
+async fn disturb(clients: [&Client; 2], said: i64) {
+    for client in clients {
+        // While the connection is lost it may be refused.
+        let _ = client.send(between("tick")).await;
+        if said % 4 == 0 {
+            let _ = client.send(between("stop")).await;
+        }
+    }
+}
+
 /// It is no number, which would be heard.
 fn between(name: &str) -> Parcel {
     let mut parcel = Parcel::new(Family::Message, name).context(path("/chat"));
@@ -210,13 +221,7 @@ async fn survive(scheme: &str, query: &str, resume: u64) {
                 .await
                 .expect("it waits for the next connection");
             bob.send(say(said)).await.expect("bob is steady");
-            // Between them what is not kept, and what overtakes all that waits.
-            for client in [&alice, &bob] {
-                let _ = client.send(between("tick")).await;
-                if said % 4 == 0 {
-                    let _ = client.send(between("stop")).await;
-                }
-            }
+            disturb([&alice, &bob], said).await;
             // Now and then both have heard all, so that the exchange goes at the pace of the network.
             if said % 8 == 0 {
                 for wanted in said - 7..=said {
