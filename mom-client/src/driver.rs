@@ -65,8 +65,14 @@ async fn again(
             sleep(wait).await;
             attempt_once(shared, connector, resumable.as_ref()).await
         };
+        let grace = resumable.as_ref().map(|counted| counted.secret.grace);
+        let left = grace.map(|grace| grace.saturating_sub(attempts.begin().elapsed()));
         let attempted = tokio::select! {
             attempted = attempted => attempted,
+            // By then the hub has given the link up: an attempt that hangs must not keep anybody from knowing.
+            () = sleep(left.unwrap_or_default()), if left.is_some() => {
+                Err(ClientError::Connection("the grace time is over".to_owned()))
+            }
             _ = ending.wait_for(|ending| *ending) => return Err(None),
         };
         let over = resumable.is_some_and(|counted| attempts.begin().elapsed() >= counted.secret.grace);

@@ -35,7 +35,7 @@ pub const MOST_ROBOTS: usize = 10_000;
 pub const LONGEST_GROUP: usize = 32;
 
 /// What a group is not called, as it means something else where groups and robots are named.
-const NO_GROUPS: [&str; 2] = ["all", "status"];
+const NO_GROUPS: [&str; 3] = ["all", "status", "token"];
 
 /// The most characters of a robot's name.
 pub const LONGEST_NAME: usize = 64;
@@ -349,7 +349,7 @@ fn read_group(value: &Value<'_>) -> Result<String, Found> {
         return Ok(group.to_owned());
     }
     let text = format!(
-        "a group is a letter and up to {} letters, digits, `-` and `_` more, and neither `all` nor `status`",
+        "a group is a letter and up to {} letters, digits, `-` and `_` more, and not `all`, `status` or `token`",
         LONGEST_GROUP - 1
     );
     Err(found(FleetFault::Group, value.span(), text))
@@ -556,6 +556,11 @@ mod tests {
             ),
             (
                 robot(1, "a:1") + "group = \"all\"\n",
+                Group,
+                "line 4, column 9: a group is a letter",
+            ),
+            (
+                robot(1, "a:1") + "group = \"token\"\n",
                 Group,
                 "line 4, column 9: a group is a letter",
             ),

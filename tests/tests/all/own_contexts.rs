@@ -172,3 +172,20 @@ async fn a_lab_whose_arm_is_put_out_goes_on_and_the_arm_comes_back() {
     until_it_obeys(&carol).await;
     assert_eq!(drive(&carol).await, CommandEnd::Done);
 }
+
+/// Three seconds without a camera, or an arm that was put out of the hub, are no reason to end everybody's hub.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lab_goes_on_without_a_device_that_was_put_out() {
+    let (lab, hub) = Running::lab();
+    let carol = arrive(&hub, "carol").await;
+    for (path, peer) in [("/camera", "camera~x"), ("/", "arm")] {
+        let members = carol.members(path).await.expect("she may look");
+        let named = members.iter().find(|member| member.peer.starts_with(&peer[..3]));
+        let named = named.unwrap_or_else(|| panic!("{peer} in {members:?}"));
+        let for_a_moment = Some(Duration::from_secs(1));
+        let expelled = carol.expel(path, &named.peer, "a test", for_a_moment).await;
+        expelled.expect("operators may");
+    }
+    carol.lookup("/robot").await.expect("the hub is there");
+    drop(lab);
+}

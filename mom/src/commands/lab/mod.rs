@@ -139,19 +139,32 @@ pub(crate) async fn run(args: &cli::LabArgs, output: Output) -> Result<(), Failu
     output.tell(|| lab.json(), || lab.text())?;
     let ended = tokio::select! {
         () = interrupt.wait() => None,
-        ended = devices.join_next() => ended,
+        ended = all_ended(&mut devices, output) => ended,
     };
     output.remark(ink("stopping", Tone::Faint));
     // The devices log out first; they hold the receivers of this.
     let _ = stop.send(true);
     while devices.join_next().await.is_some() {}
     stop_broker(broker).await;
-    match ended {
-        None => Ok(()),
-        Some(Ok((name, Err(error)))) => Err(Failure::plain(format!("the {name} ended: {error}"))),
-        Some(Ok((name, Ok(())))) => Err(Failure::plain(format!("the {name} ended"))),
-        Some(Err(error)) => Err(Failure::plain(format!("a device broke down: {error}"))),
+    ended.map_or(Ok(()), |why| Err(Failure::plain(why)))
+}
+
+/// Says which devices end, and goes on with the others: somebody may have put one out. Gives why the last one has ended.
+async fn all_ended(devices: &mut Devices, output: Output) -> Option<String> {
+    let mut last = None;
+    while let Some(ended) = devices.join_next().await {
+        let why = match ended {
+            Ok((name, Err(error))) => format!("the {name} ended: {error}"),
+            Ok((name, Ok(()))) => format!("the {name} ended"),
+            Err(error) => format!("a device broke down: {error}"),
+        };
+        if !devices.is_empty() {
+            let words = format!("{why}; the lab goes on without it until it is started again");
+            output.remark(ink(&words, Tone::Bad));
+        }
+        last = Some(why);
     }
+    last
 }
 
 /// A certificate that the lab makes itself, and keeps where it keeps the rest.

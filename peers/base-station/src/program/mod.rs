@@ -8,7 +8,7 @@ mod tests;
 mod view;
 mod watching;
 
-use std::fs;
+use std::fs::{self, File};
 use std::io::{IsTerminal as _, Write as _, stdout};
 use std::path::Path;
 
@@ -98,6 +98,11 @@ fn change(path: &Path, edit: &Edit, done: &str) -> Result<()> {
         !is_nothing,
         "there is nothing to change: say --unit, --address, --name, --no-name, --group or --no-group"
     );
+    // Two that change it at once do so one after the other. The file itself is replaced, so its folder is locked.
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let lock = File::open(folder.unwrap_or(Path::new(".")));
+    let lock = lock.and_then(|folder| folder.lock().map(|()| folder));
+    let _lock = lock.with_context(|| format!("cannot lock the folder of {}", path.display()))?;
     let text = match edit {
         Edit::Add(_) if !path.exists() => String::new(),
         _ => read(path)?,

@@ -285,3 +285,24 @@ async fn robots_are_added_changed_and_removed_in_the_file() {
         "{removed:?}"
     );
 }
+
+/// Nobody is told that a change is made which another one has taken back.
+#[tokio::test]
+async fn changes_at_once_are_all_made() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("hall.toml");
+    let mut adding: Vec<_> = (1..=8)
+        .map(|unit| {
+            let mut command = Command::new(env!("CARGO_BIN_EXE_mom-base-station"));
+            let (unit, address) = (unit.to_string(), format!("10.0.0.{unit}:4000"));
+            command.arg("--fleet").arg(&file).args(["add", &unit, &address]);
+            command.stdout(std::process::Stdio::null());
+            command.spawn().expect("the program starts")
+        })
+        .collect();
+    for added in &mut adding {
+        assert!(added.wait().expect("it ends").success());
+    }
+    let made = std::fs::read_to_string(&file).expect("it is there");
+    assert_eq!(made.matches("[[robot]]").count(), 8, "{made}");
+}

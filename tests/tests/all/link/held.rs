@@ -3,7 +3,8 @@
 use std::net::SocketAddr;
 use std::time::Duration;
 
-use mom_client::{Builder, Client, Event, Family, Parcel, Path, Value};
+use mom_client::{Builder, Client, Event, Family, LinkState, Parcel, Path, Value};
+use mom_tests::faulty::{Fault, FaultyNetwork};
 use mom_tests::lab;
 use mom_tests::programs::PATIENCE;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
@@ -139,4 +140,25 @@ async fn a_token_outlives_a_loss_with_much_under_way() {
     assert!(guard.release().await.is_ok(), "it was hers all the time");
     drop((alice, bob));
     broker.stop().await;
+}
+
+/// A client whose attempts hang knows in time that its link is over: what it drives is nobody's any more.
+#[tokio::test]
+async fn a_link_ends_with_its_grace_though_an_attempt_hangs() {
+    let broker = lab::start().await;
+    let network = FaultyNetwork::to(broker.local_addr(), |_| Fault::default()).await;
+    let client = Client::builder(format!("bin://{}", network.address))
+        .user("alice")
+        .password("alice")
+        .link(Duration::from_millis(500))
+        .heartbeat(Duration::from_millis(100))
+        .connect()
+        .await
+        .expect("alice");
+    let mut state = client.state();
+    network.freeze(true);
+    let over = state.wait_for(|link| matches!(link, LinkState::Trying { .. }));
+    // One attempt that hangs takes 10 s.
+    let over = timeout(Duration::from_secs(9), over).await;
+    over.expect("in time").expect("a state");
 }
