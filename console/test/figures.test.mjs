@@ -23,8 +23,8 @@ test("the statistics are those of mom stats", () => {
 test("the line of totals has the words of mom top", () => {
   const source = rust("top/rows.rs");
   const line = [figures.connections(9), figures.memory(1024, 2048), figures.memory(1, undefined), figures.traffic(1, 2), figures.messages(3.4, 0)].join("   ");
-  assert.equal(line, "9 connections   memory 1.0 KiB of 2.0 KiB   memory 1 B   in 1 B/s, out 2 B/s   3 messages/s, 0 dropped/s");
-  for (const words of ['"connection"', '"memory {} of {}"', '"memory {}"', '"in {}, out {}"', '"{:.0} messages/s, {:.0} dropped/s"']) assert.ok(source.includes(words), words);
+  assert.equal(line, "9 connections   hub keeps 1.0 KiB of at most 2.0 KiB   hub keeps 1 B   in 1 B/s, out 2 B/s   3 messages/s, 0 dropped/s");
+  for (const words of ['"connection"', '"hub keeps {} of at most {}"', '"hub keeps {}"', '"in {}, out {}"', '"{:.0} messages/s, {:.0} dropped/s"']) assert.ok(source.includes(words), words);
   assert.equal(figures.more(4), "and 4 more peers, which the hub does not list");
   assert.ok(source.includes("and {more} more peers, which the hub does not list"));
 });

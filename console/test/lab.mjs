@@ -233,8 +233,8 @@ export async function logIn(page, user, password = user) {
 export const go = (page, hash) => page.evaluate((to) => (location.hash = to), hash);
 
 /** Waits until something holds, for 20 seconds at most. */
-export async function until(page, what) {
-  for (const end = Date.now() + 20_000; !(await what()); ) {
+export async function until(page, what, within = 20_000) {
+  for (const end = Date.now() + within; !(await what()); ) {
     assert.ok(Date.now() < end, `waited for ${what}`);
     await page.evaluate(() => new Promise((resolve) => requestAnimationFrame(resolve)));
   }

@@ -42,7 +42,7 @@ export const figures = {
   statistics,
   none: "-",
   connections: (count: number) => plural(count, "connection"),
-  memory: (used: number, bound: number | undefined) => (bound === undefined ? `memory ${size(used)}` : `memory ${size(used)} of ${size(bound)}`),
+  memory: (used: number, bound: number | undefined) => (bound === undefined ? `hub keeps ${size(used)}` : `hub keeps ${size(used)} of at most ${size(bound)}`),
   traffic: (received: number, sent: number) => `in ${size(received)}/s, out ${size(sent)}/s`,
   messages: (messages: number, dropped: number) => `${messages.toFixed(0)} messages/s, ${dropped.toFixed(0)} dropped/s`,
   more: (count: number) => `and ${count} more peers, which the hub does not list`,
