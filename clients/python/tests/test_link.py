@@ -417,6 +417,20 @@ async def test_a_token_is_asked_for_at_each_login_and_what_that_raises_is_told(
     assert [parcel.map()["token"] for parcel in hub.heard if parcel.is_("login", "login")] == ["another"]
 
 
+async def test_a_link_ends_with_its_grace_though_an_attempt_hangs(hub: FakeHub, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One attempt that hangs takes 10 s."""
+    hub.grace = 300
+    async with connect(hub, grace=0.3) as client:
+        hub.replies["join"] = {"kind": "token"}
+        guard = await (await client.token("/t")).grab()
+        monkeypatch.setattr(hub, "_enter", lambda parcel, content: False)
+        hub.cut()
+        assert (await asyncio.wait_for(guard.lost(), 9)).reason == "disconnected"
+        monkeypatch.undo()
+        hub.cut()
+        await until(lambda: client.state.word == "connected")
+
+
 async def test_after_the_grace_time_all_is_lost(hub: FakeHub) -> None:
     hub.grace = 100
     async with connect(hub, grace=0.1) as client:

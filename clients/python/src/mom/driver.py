@@ -131,7 +131,14 @@ class Driver:
                     core.enter(LinkState("trying", attempt, error=last.wire if last else None))
                 await asyncio.sleep(wait)
             try:
-                return await self._once()
+                if core.link is None:
+                    return await self._once()
+                # By then the hub has given the link up: an attempt that hangs must not keep anybody from knowing.
+                return await asyncio.wait_for(self._once(), max(0.0, begin + core.link.grace - loop.time()))
+            except asyncio.TimeoutError:
+                if core.link is not None:
+                    core.lose_all("the connection was lost for longer than the hub waits")
+                last = ConnectionDownError("the hub did not answer within the grace time")
             except RefusedError as error:
                 if not error.wire.may_retry and not error.wire.may_reconnect:
                     raise
