@@ -18,7 +18,7 @@ use crate::output::Output;
 ///
 /// whose failure is a `VerbFailure`.
 macro_rules! devices {
-    ($($name:ident: $($module:ident)::+,)*) => {
+    ($($name:ident: $($module:ident)::+, $stay:ident;)*) => {
         /// The commands of devices.
         #[derive(Debug, Subcommand)]
         pub(crate) enum DeviceCommand {
@@ -28,7 +28,10 @@ macro_rules! devices {
         impl DeviceCommand {
             /// Runs it as a peer of its own.
             pub(crate) async fn run(&self, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
-                let client = connect(global, Stay::Driving).await?;
+                let stay = match self {
+                    $(DeviceCommand::$name(_) => Stay::$stay,)*
+                };
+                let client = connect(global, stay).await?;
                 let ran = match self.run_as(&client, output).await {
                     Err(failure) => Err(failure.at_a_fleet(&client).await),
                     ran => ran,
@@ -57,10 +60,11 @@ macro_rules! devices {
 }
 
 devices! {
-    Calibrate: mom_calibrate::verb,
-    Objects: mom_model::verb::objects,
-    Put: mom_model::verb::put,
-    Bring: mom_model::verb::bring,
-    Servo: mom_servo::verb,
-    Fleet: mom_gateway::verb,
+    Calibrate: mom_calibrate::verb, Driving;
+    // It moves nothing: on a busy machine it need not hear of a loss within seconds.
+    Objects: mom_model::verb::objects, Once;
+    Put: mom_model::verb::put, Driving;
+    Bring: mom_model::verb::bring, Driving;
+    Servo: mom_servo::verb, Driving;
+    Fleet: mom_gateway::verb, Driving;
 }

@@ -175,11 +175,16 @@ impl ArmMachine {
             match self.step {
                 // Each piece has to be said in time: a controller would have stood after the last one.
                 Step::None if self.jog.is_some() && until - self.now > self.patience => {
+                    let late = u32::try_from((until - self.now) / 1000).unwrap_or(u32::MAX);
                     let text = format!(
-                        "the program of the arm stood still for {} ms, and no piece of a velocity begins so late",
-                        (until - self.now) / 1000
+                        "the program of the arm stood still for {late} ms, and no piece of a velocity begins so late"
                     );
-                    self.fail(DeviceError::new(ErrorName::Halted, text));
+                    // It was to move and does not: where it stands it can be told anew.
+                    self.fail(
+                        DeviceError::new(ErrorName::Halted, text)
+                            .with_retry()
+                            .late_by(late),
+                    );
                 }
                 Step::None => match self.go_on() {
                     Ok(true) => {}

@@ -135,7 +135,7 @@ impl fmt::Display for ErrorName {
 /// An error of a device: plain words, with the code kept beside them.
 ///
 /// As content it is a map of `name`, `code`, `text` and, where they apply, `retry`, `statement` (1 for the first), `position` (byte in
-/// the script) with its `line` and `column` (1 for the first), `nearest` (the known word meant) and `reachable` (the nearest position
+/// the script) with its `line` and `column` (1 for the first), `nearest` (the known word meant), `late` (ms since it had come to rest) and `reachable` (the nearest position
 /// that the device can reach).
 #[derive(Debug, Clone, PartialEq, thiserror::Error, Serialize)]
 #[error("{text}")]
@@ -155,6 +155,8 @@ pub struct DeviceError {
     column: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     nearest: Option<&'static str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    late: Option<u32>,
     // Boxed, as most errors have none and an error is returned by value.
     #[serde(skip_serializing_if = "Option::is_none")]
     reachable: Option<Box<Value>>,
@@ -174,6 +176,7 @@ impl DeviceError {
             line: None,
             column: None,
             nearest: None,
+            late: None,
             reachable: None,
         }
     }
@@ -234,11 +237,30 @@ impl DeviceError {
         self.line.zip(self.column)
     }
 
+    /// Whether the same command may be taken a little later, although nothing about it changes.
+    #[must_use]
+    pub const fn may_be_retried(&self) -> bool {
+        self.retry
+    }
+
     /// The same error, where the same command may be taken a little later.
     #[must_use]
     pub fn with_retry(mut self) -> Self {
         self.retry = true;
         self
+    }
+
+    /// The same error, of a device that had come to rest so many ms ago, as its program had stood still.
+    #[must_use]
+    pub fn late_by(mut self, ms: u32) -> Self {
+        self.late = Some(ms);
+        self
+    }
+
+    /// How many ms ago it had come to rest.
+    #[must_use]
+    pub const fn late(&self) -> Option<u32> {
+        self.late
     }
 
     /// The same error, said of a byte of the script.

@@ -195,6 +195,18 @@ impl Motion {
         });
     }
 
+    /// The hand had come to rest by then, without a word; commands that were sent later are carried out.
+    pub fn stood(&mut self, at: Micros) {
+        let now = self.sample(at);
+        self.samples.retain(|sample| sample.at < at);
+        self.samples.push_back(Sample {
+            speed: [0.0; 5],
+            ..now
+        });
+        self.commands.retain(|(_, sent, _)| *sent > at);
+        self.simulate(0);
+    }
+
     /// The command after which the hand rests this far from where it is at that time, or is on the way there: no
     /// command lasts longer than a second.
     #[must_use]
@@ -288,6 +300,30 @@ mod tests {
         motion.begun(2, 500_000);
         assert!((motion.end().1[0] - before).abs() < 1e-9);
         motion.begun(7, 0);
+    }
+
+    #[test]
+    fn who_stood_still_goes_on_from_there_by_what_was_sent_later() {
+        let mut motion = Motion::new(0);
+        let jog = |x: f64| Jog {
+            velocity: [x, 0.0, 0.0, 0.0, 0.0],
+            ms: 1000,
+        };
+        motion.command(1, &jog(100.0), 0);
+        let there = motion.at(400_000)[0];
+        motion.command(2, &jog(-50.0), 700_000);
+        motion.stood(400_000);
+        assert_eq!(motion.at(600_000)[0], there);
+        let alone = {
+            let mut alone = Motion::new(0);
+            alone.command(2, &jog(-50.0), 700_000);
+            alone.end().1[0]
+        };
+        assert!(
+            (motion.end().1[0] - there - alone).abs() < 1e-9,
+            "{:?}",
+            motion.end()
+        );
     }
 
     proptest! {

@@ -76,6 +76,36 @@ fn images_that_are_lost_or_come_in_bunches_lead_nowhere_else() {
     assert!(end.failure.is_none(), "{end:?}");
 }
 
+/// The arm's program stands still for longer than a piece of a velocity may be late, as on a machine that does something else: nobody has
+/// halted the arm, and it goes on from where it stands.
+#[test]
+fn an_arm_whose_program_stands_still_for_a_moment_is_driven_on() {
+    let trouble = Trouble {
+        stands: [5_000_000, 300_000],
+        ..Trouble::default()
+    };
+    for seed in [1, 6] {
+        let end = stays_on_its_way(seed, 20, trouble);
+        assert!(end.failure.is_none(), "{end:?}");
+    }
+}
+
+/// One that never takes a velocity up in time is given up.
+#[test]
+fn an_arm_whose_program_hardly_runs_is_given_up() {
+    let trouble = Trouble {
+        stands: [40_000, 400_000],
+        ..Trouble::default()
+    };
+    let end = stays_on_its_way(1, 20, trouble);
+    assert!(
+        end.failure
+            .as_deref()
+            .is_some_and(|why| why.contains("stood still for")),
+        "{end:?}"
+    );
+}
+
 #[test]
 fn blind_it_ends_within_two_seconds_of_the_limit_and_says_so() {
     let trouble = Trouble {

@@ -12,8 +12,9 @@ use mom_arm::blocks::Blocks;
 use mom_arm::workspace::WORKSPACE;
 use mom_arm::{Arm, ArmEvent, ArmState, Block, CommandState, Pose};
 use mom_camera::{CameraSettings, Renderer, Scene, View};
+use mom_device::{DeviceError, ErrorName};
 use mom_servo::Micros;
-use mom_servo::control::{Action, Hand, Progress, Servo};
+use mom_servo::control::{Action, Hand, Progress, STOOD_STILL, Servo};
 use mom_servo::eyes::Seen;
 use mom_servo::task::{NAMES, SIZE, Side, Task};
 use mom_servo::track::turned;
@@ -58,6 +59,8 @@ pub struct Trouble {
     /// µs between two times in which nothing arrives, neither images nor commands, and how long these are at most. What was on its way
     /// arrives at once after it.
     pub frozen: [Micros; 2],
+    /// µs between two times in which the arm's program stands still, and how long it does.
+    pub stands: [Micros; 2],
     /// µs by which the state that an image shows is older than the image, at most.
     pub stale: Micros,
     /// µs by which the times of images are wrong, at most.
@@ -181,6 +184,8 @@ struct Rehearsal<'a> {
     /// When nothing arrives next, and until when nothing does.
     freezes: Micros,
     thaws: Micros,
+    /// When the arm's program stands still next, or since when it does.
+    stands: Micros,
     /// The arm's newest states.
     states: VecDeque<(Micros, ArmState)>,
     way: Way,
@@ -241,6 +246,7 @@ impl<'a> Rehearsal<'a> {
             trouble: Rng::with_seed(start.trouble.seed),
             freezes: 62_000_000,
             thaws: 0,
+            stands: 62_000_000,
             states: VecDeque::new(),
             way: Way::default(),
             brought: [60_000_000; 3],
@@ -303,6 +309,19 @@ impl<'a> Rehearsal<'a> {
         now < self.thaws
     }
 
+    /// Whether the arm's program stands still.
+    fn stands_still(&mut self, now: Micros) -> bool {
+        let [between, time] = self.start.trouble.stands;
+        if time == 0 || now < self.stands {
+            return false;
+        }
+        if now < self.stands + time {
+            return true;
+        }
+        self.stands += time + between;
+        false
+    }
+
     fn advance(&mut self, now: Micros) {
         let mut events = Vec::new();
         self.arm.advance(now, &mut events);
@@ -311,20 +330,24 @@ impl<'a> Rehearsal<'a> {
 
     /// What was on its way until now.
     fn arrive(&mut self, now: Micros) {
-        while self.commands.front().is_some_and(|(at, ..)| *at <= now) {
+        let stands_still = self.stands_still(now);
+        while !stands_still && self.commands.front().is_some_and(|(at, ..)| *at <= now) {
             let Some((at, id, command)) = self.commands.pop_front() else {
                 break;
             };
-            let at = at.max(self.thaws);
+            let still = self.stands - self.start.trouble.stands[0];
+            let at = at.max(self.thaws).max(still.min(now));
             let mut events = Vec::new();
             self.arm.advance(at, &mut events);
             if let Err(error) = self.arm.submit(id, &command, at, &mut events) {
-                let end = End::Error(error.name().to_string(), error.text().to_owned(), at);
+                let end = told(&error, at);
                 self.ends.push_back((at + self.start.delay, end));
             }
             self.note(&events, at);
         }
-        self.advance(now);
+        if !stands_still {
+            self.advance(now);
+        }
         while self.ends.front().is_some_and(|(at, _)| *at <= now) {
             match self.ends.pop_front() {
                 Some((_, End::Begun(number, at))) => self.servo.begun(number, at),
@@ -350,7 +373,7 @@ impl<'a> Rehearsal<'a> {
                     error: Some(error),
                     ..
                 } => {
-                    let end = End::Error(error.name().to_string(), error.text().to_owned(), now);
+                    let end = told(error, now);
                     self.ends.push_back((now + self.start.delay, end));
                 }
                 ArmEvent::Command {
@@ -432,6 +455,16 @@ impl<'a> Rehearsal<'a> {
             unseen: (60_000_000 + took - self.second_newest()) as f64 / 1e6,
         }
     }
+}
+
+/// What the agent makes of an error of the arm.
+fn told(error: &DeviceError, at: Micros) -> End {
+    let name = match error.name() {
+        ErrorName::Halted if error.may_be_retried() => STOOD_STILL.to_owned(),
+        name => name.to_string(),
+    };
+    let late = Micros::from(error.late().unwrap_or(0)) * 1000;
+    End::Error(name, error.text().to_owned(), at - late)
 }
 
 /// What the cameras draw.

@@ -33,6 +33,10 @@ pub const ALIGNED: f64 = 3.0;
 pub const PARALLEL: f64 = 4.0;
 /// How often the block is put down at most.
 const ATTEMPTS: u32 = 4;
+/// The name for [`Servo::refused`] of a velocity that ended because the arm's program stood still, and nobody halted the arm.
+pub const STOOD_STILL: &str = "stood-still";
+/// How many may end so in one phase: more, and the machine of the arm is too slow to drive it.
+const STOOD_STILL_AT_MOST: u32 = 8;
 /// The longest time from a command to its begin that counts as usual, µs.
 const MOST_USUAL: Micros = 1_200_000;
 
@@ -147,6 +151,8 @@ pub struct Servo {
     blind: Option<[f64; 5]>,
     miss: Option<Miss>,
     attempts: u32,
+    /// Velocities of this phase that ended because the arm's program stood still.
+    late: u32,
     commands: u32,
     newest: Option<Micros>,
     now: Micros,
@@ -183,6 +189,7 @@ impl Servo {
             blind: None,
             miss: None,
             attempts: 0,
+            late: 0,
             commands: 0,
             newest: None,
             now,
@@ -265,7 +272,7 @@ impl Servo {
         }
     }
 
-    /// The arm refused a command, or ended it with this error, at this time.
+    /// The arm refused a command, or ended it with this error, at this time; at which it came to rest, where that is known.
     pub fn refused(&mut self, name: &str, text: &str, at: Micros, now: Micros) {
         self.now = self.now.max(now);
         self.sight.forget_commands();
@@ -273,6 +280,13 @@ impl Servo {
             // The jog before it has not ended; it is sent again.
             self.jaws = None;
             self.sent = Some((now, false));
+            return;
+        }
+        if name == STOOD_STILL && self.late < STOOD_STILL_AT_MOST {
+            // It stands, and nobody has halted it: the next command goes on from there.
+            self.late += 1;
+            self.motion.stood(at - self.usual.unwrap_or(0));
+            self.sent = None;
             return;
         }
         let touches_down = self.touches_down(at);

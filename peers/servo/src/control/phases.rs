@@ -131,6 +131,7 @@ impl Servo {
         self.phase = phase;
         self.since = self.now;
         self.slowed = false;
+        self.late = 0;
         self.sent = None;
         self.blind = None;
         self.touched = false;

@@ -15,7 +15,7 @@ use super::report::Report;
 use super::say;
 use super::watch::Eyes;
 use crate::Micros;
-use crate::control::{Action, Phase, Servo};
+use crate::control::{Action, Phase, STOOD_STILL, Servo};
 use crate::eyes::Seen;
 use crate::task::NAMES;
 
@@ -27,6 +27,8 @@ const TOLD: Duration = Duration::from_millis(500);
 const MOST_NUMBERS: usize = 64;
 /// A command that is still on its way after this is worth nothing, ms: the hand is led by newer pictures.
 const EXPIRES: u64 = 1500;
+/// ms for which a program that stood still is believed to have.
+const LATEST: i64 = 10_000;
 /// A robot that moves tells its state more often than this, µs.
 const RESTS: Micros = 600_000;
 /// The time of one state as two peers tell it, µs.
@@ -268,7 +270,16 @@ impl Drive {
                 let name = error.get("name").and_then(Value::as_str).unwrap_or_default();
                 // The robot has not come to rest after its last owner: soon it has.
                 let name = if name == "changing-hands" { "busy" } else { name };
-                self.servo.refused(name, &refusal(&error).text, now - age, now);
+                // A velocity that ended because the arm's program stood still, not because somebody has halted the arm.
+                let retry = error.get("retry").and_then(Value::as_bool) == Some(true);
+                let name = if name == "halted" && retry {
+                    STOOD_STILL
+                } else {
+                    name
+                };
+                let late = error.get("late").and_then(Value::as_int).unwrap_or(0);
+                let at = now - age - late.clamp(0, LATEST) * 1000;
+                self.servo.refused(name, &refusal(&error).text, at, now);
             }
             _ => {}
         }
