@@ -94,7 +94,7 @@ async fn read(
                 Frame::Malformed { error, .. } => shared.receive_malformed(error),
             }
             if counts {
-                shared.count_read(word, reader.received());
+                shared.count_read(word, reader.brought());
             }
         }
         if !reader.arrive().await? {

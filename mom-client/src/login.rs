@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use mom_net::{Address, Transceiver};
 use mom_proto::codec::{Form, Frame};
-use mom_proto::{Family, Limit, Limits, Map, Parcel, Value, WireError, ZSTD};
+use mom_proto::{Compression, Family, Limit, Limits, Map, Parcel, Value, WireError};
 use tokio::time::timeout;
 
 use crate::ClientError;
@@ -33,8 +33,8 @@ pub(crate) struct Welcome {
     pub(crate) user: String,
     pub(crate) level: i32,
     pub(crate) limits: PeerLimits,
-    /// The hub takes and gives compressed content.
-    pub(crate) packs: bool,
+    /// What was agreed on for this connection.
+    pub(crate) compression: Option<Compression>,
     pub(crate) content: Map,
 }
 
@@ -140,6 +140,10 @@ async fn resume(
     counted: &Counted,
     ids: &AtomicU64,
 ) -> Result<(Transceiver, Resumption), ClientError> {
+    if let Some(stream) = counted.secret.stream {
+        // What follows the reply may be read together with it.
+        transceiver.reader.take_compressed(stream);
+    }
     let answer = |challenge: &Parcel| counted.secret.answer(challenge, counted.read);
     let reply = prove(&mut transceiver, counted.secret.resume(), answer, ids).await?;
     let resumption = Resumption::read(reply)?;
@@ -148,6 +152,9 @@ async fn resume(
     transceiver.reader.set_limits(&limits);
     // What was not agreed on does not come.
     transceiver.reader.take_packed();
+    if let Some(stream) = counted.secret.stream {
+        transceiver.writer.compress(stream);
+    }
     Ok((transceiver, resumption))
 }
 
@@ -156,13 +163,22 @@ async fn log_in(
     credentials: &Credentials,
     ids: &AtomicU64,
 ) -> Result<Connected, ClientError> {
+    if credentials.compress && transceiver.reader.form().is_some_and(|form| !form.is_binary()) {
+        // As a rule the reply comes as it is, but it need not.
+        transceiver.reader.take_compressed(Compression::StreamZstd);
+    }
     let answer = |challenge: &Parcel| credentials.answer(challenge);
     let reply = prove(&mut transceiver, credentials.login().await?, answer, ids).await?;
     let welcome = Welcome::read(reply)?;
     let limits = welcome.limits.for_decoder();
     transceiver.reader.set_limits(&limits);
-    if welcome.packs {
-        transceiver.reader.take_packed();
+    match welcome.compression {
+        None => {}
+        Some(Compression::Zstd) => transceiver.reader.take_packed(),
+        Some(stream) => {
+            transceiver.reader.take_compressed(stream);
+            transceiver.writer.compress(stream);
+        }
     }
     Ok(Connected { transceiver, welcome })
 }
@@ -217,7 +233,7 @@ impl Welcome {
                 .to_owned(),
             level: level(&content, "level").unwrap_or_default(),
             limits: PeerLimits::read(limits),
-            packs: text(&content, "compress") == Some(ZSTD),
+            compression: text(&content, "compress").and_then(Compression::of),
             content,
         })
     }

@@ -8,7 +8,8 @@ use std::time::Duration;
 
 use mom_net::{Address, Identity};
 use mom_proto::{
-    Code, Family, LOGIN_CONTEXT, Map, NONCE_BYTES, Parcel, Path, Value, WireError, ZSTD, login_challenge,
+    Code, Compression, Family, LOGIN_CONTEXT, Map, NONCE_BYTES, Parcel, Path, Value, WireError,
+    login_challenge,
 };
 
 use crate::clock::system;
@@ -172,7 +173,9 @@ impl Credentials {
             content.set("heartbeat", millis(heartbeat));
         }
         if self.compress {
-            content.set("compress", vec![Value::from(ZSTD)]);
+            // The first is of the binary form only, the other of any.
+            let ways = [Compression::Zstd, Compression::StreamZstd];
+            content.set("compress", ways.map(|way| Value::from(way.word())).to_vec());
         }
         Ok(said("login", content))
     }

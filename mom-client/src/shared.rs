@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use mom_net::{DropReason, Lane, Ledger, Outgoing};
 use mom_proto::codec::Form;
-use mom_proto::{Code, Family, Map, Parcel, Path, Thinning, WireError, event, outlives_loss};
+use mom_proto::{Code, Compression, Family, Map, Parcel, Path, Thinning, WireError, event, outlives_loss};
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::{AcquireError, Notify, Semaphore, SemaphorePermit, oneshot, watch};
 use tokio::time::timeout;
@@ -343,7 +343,7 @@ impl Shared {
             return Ok(Outgoing::Parcel(Arc::new(parcel.clone())));
         };
         let (form, unpacked) = match form {
-            Form::Binary if me.packs => (Form::Packed, parcel.size()),
+            Form::Binary if me.compression == Some(Compression::Zstd) => (Form::Packed, parcel.size()),
             form => (form, 0),
         };
         let encoded = form.encode(parcel)?;

@@ -7,8 +7,8 @@ use std::time::Duration;
 use hmac::{Hmac, Mac};
 use mom_net::{DropReason, Ledger, Rewound};
 use mom_proto::{
-    ContextNumber, Family, LINK_CONTEXT, Map, NONCE_BYTES, Parcel, Path, ReadCount, SECRET_BYTES, Value,
-    link_challenge,
+    Compression, ContextNumber, Family, LINK_CONTEXT, Map, NONCE_BYTES, Parcel, Path, ReadCount,
+    SECRET_BYTES, Value, link_challenge,
 };
 use sha2::Sha256;
 
@@ -37,6 +37,8 @@ pub(crate) struct LinkSecret {
     pub(crate) grace: Duration,
     /// The hub takes a checksum of what was read: those of earlier versions refuse it.
     checks: bool,
+    /// How all that its connections carry is compressed.
+    pub(crate) stream: Option<Compression>,
 }
 
 // Logs must not hold it.
@@ -84,6 +86,9 @@ impl LinkSecret {
             secret: secret.to_vec(),
             grace,
             checks: minor.is_some_and(|minor| minor >= CHECKSUMS),
+            stream: text(welcome, "compress")
+                .and_then(Compression::of)
+                .filter(|way| way.is_stream()),
         })
     }
 

@@ -20,6 +20,7 @@ use mom_proto::Fingerprint;
 
 mod address;
 mod carrier;
+mod compressed;
 mod dial;
 mod error;
 mod flow;
@@ -43,6 +44,7 @@ mod websocket;
 mod writer;
 
 pub use address::{Address, DEFAULT_PORT, Door};
+pub use compressed::COMPRESSION_MEMORY;
 pub use error::NetError;
 pub use flow::{Allowance, Flow, Pause};
 pub use http::HttpStream;

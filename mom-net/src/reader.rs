@@ -8,9 +8,10 @@ use std::task::{Context, Poll};
 use bytes::{Buf, BufMut};
 use mom_proto::binary::Plain;
 use mom_proto::codec::{Decoder, Deferred, Form, Frame};
-use mom_proto::{ContextNumber, Limits, Parcel, Path};
+use mom_proto::{Compression, ContextNumber, Limits, Parcel, Path};
 use tokio::sync::mpsc;
 
+use crate::compressed::Unpacker;
 use crate::socket::ReadHalf;
 use crate::spare::ReadBuffer;
 use crate::{NetError, local};
@@ -25,6 +26,8 @@ pub struct Reader {
     source: Source,
     /// The bytes that have arrived since it began.
     received: u64,
+    /// The bytes that were opened of them, where they were compressed.
+    opened: u64,
 }
 
 #[derive(Debug)]
@@ -34,6 +37,8 @@ pub(crate) enum Source {
         buffer: ReadBuffer,
         decoder: Decoder,
         form: Form,
+        /// Once the other side may compress all that follows.
+        unpacker: Option<Box<Unpacker>>,
     },
     Local {
         receiver: mpsc::Receiver<Arc<Parcel>>,
@@ -48,12 +53,21 @@ impl Reader {
             Source::Stream { buffer, .. } => buffer.bytes.len() as u64,
             Source::Local { .. } => 0,
         };
-        Reader { source, received }
+        Reader {
+            source,
+            received,
+            opened: 0,
+        }
     }
 
     /// The bytes that have arrived since it began; none counted inside a process.
     pub fn received(&self) -> u64 {
         self.received
+    }
+
+    /// As many, and those that were opened of them: what the other side keeps until it is told that it was read.
+    pub fn brought(&self) -> u64 {
+        self.received + self.opened
     }
 
     /// The wire form, none inside a process.
@@ -82,6 +96,21 @@ impl Reader {
     pub fn take_packed(&mut self) {
         if let Source::Stream { decoder, .. } = &mut self.source {
             decoder.take_packed();
+        }
+    }
+
+    /// From now on, opens so what the other side has compressed, from where that begins: both ends agree on it, or will.
+    pub fn take_compressed(&mut self, way: Compression) {
+        if let Source::Stream {
+            stream,
+            unpacker,
+            form,
+            ..
+        } = &mut self.source
+            && unpacker.is_none()
+        {
+            stream.take_binary();
+            *unpacker = Some(Box::new(Unpacker::new(way, *form)));
         }
     }
 
@@ -139,9 +168,19 @@ impl Reader {
                 stream,
                 buffer,
                 decoder,
+                unpacker,
                 ..
             } => {
                 let announced = announced(decoder, &buffer.bytes);
+                if let Some(unpacker) = unpacker.as_deref_mut().filter(|unpacker| unpacker.is_open()) {
+                    let Some((arrived, opened)) = open_some(stream, buffer, unpacker, announced).await?
+                    else {
+                        return Ok(false);
+                    };
+                    self.received += arrived as u64;
+                    self.opened += opened as u64;
+                    return Ok(true);
+                }
                 match poll_fn(|context| poll_read(stream, buffer, announced, context)).await? {
                     0 if buffer.bytes.is_empty() => Ok(false),
                     0 => Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
@@ -248,7 +287,17 @@ impl Reader {
                 let next = arrived.take().or_else(|| receiver.try_recv().ok());
                 Ok(next.map(local_frame))
             }
-            Source::Stream { buffer, decoder, .. } if !buffer.bytes.is_empty() => {
+            Source::Stream {
+                buffer,
+                decoder,
+                unpacker,
+                ..
+            } if !buffer.bytes.is_empty() => {
+                if let Some(unpacker) = unpacker.as_deref_mut().filter(|unpacker| !unpacker.is_open())
+                    && !unpacker.begin(&mut buffer.bytes)?
+                {
+                    return Ok(None);
+                }
                 let before = buffer.bytes.len();
                 let frame = decoder.decode(&mut buffer.bytes)?;
                 if frame.is_some() {
@@ -267,6 +316,34 @@ fn announced(decoder: &Decoder, bytes: &[u8]) -> usize {
         Decoder::Binary(decoder) => decoder.announced(bytes),
         Decoder::Xml(_) | Decoder::Json(_) => 0,
     }
+}
+
+/// Opens some of what has arrived, and reads where nothing has; gives how many bytes were read and opened, none at the end.
+async fn open_some(
+    stream: &mut ReadHalf,
+    buffer: &mut ReadBuffer,
+    unpacker: &mut Unpacker,
+    announced: usize,
+) -> Result<Option<(usize, usize)>, NetError> {
+    let mut arrived = 0;
+    if !unpacker.has_more() {
+        let read = poll_fn(|context| {
+            let read = unpacker.poll_read(stream, context);
+            if read.is_pending() {
+                buffer.rest();
+            }
+            read
+        });
+        arrived = read.await?;
+        if arrived == 0 {
+            return match buffer.bytes.is_empty() {
+                true => Ok(None),
+                false => Err(io::Error::from(io::ErrorKind::UnexpectedEof).into()),
+            };
+        }
+    }
+    buffer.make_room(announced);
+    Ok(Some((arrived, unpacker.fill(&mut buffer.bytes)?)))
 }
 
 /// Reads what has arrived. While nothing has, the connection holds no buffer: thousands of idle ones share a few.

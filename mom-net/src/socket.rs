@@ -88,6 +88,13 @@ impl ReadHalf {
         }
     }
 
+    /// What is compressed is no text: a WebSocket of text takes binary messages, too.
+    pub(crate) fn take_binary(&self) {
+        if let ReadHalf::WebSocket(link) = self {
+            link.take_binary();
+        }
+    }
+
     /// Notes that the peer has logged in.
     pub(crate) fn trust(&self) {
         if let ReadHalf::Tunnel(pipe) = self {
@@ -146,6 +153,13 @@ impl WriteHalf {
                 end.0.writable().await;
                 Ok(())
             }
+        }
+    }
+
+    /// What follows is no text: a WebSocket of text sends it in binary messages.
+    pub(crate) fn begin_binary(&self) {
+        if let WriteHalf::WebSocket(link) = self {
+            link.begin_binary();
         }
     }
 

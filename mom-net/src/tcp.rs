@@ -17,7 +17,7 @@ use crate::reader::{Reader, Source};
 use crate::socket::{ReadHalf, WriteHalf};
 use crate::spare::ReadBuffer;
 use crate::tls::{HANDSHAKE, TlsLink};
-use crate::writer::{Progress, Sink, Writer};
+use crate::writer::{Progress, Sink, Stream, Writer};
 use crate::{
     Address, ClientTls, Door, HttpStream, NetError, Outgoing, Privacy, ServerTls, Takes, Transceiver, http,
     socket, tunnel, websocket,
@@ -210,7 +210,10 @@ pub(crate) async fn begin(
     decoder: Decoder,
     buffer: BytesMut,
 ) -> Result<Transceiver, NetError> {
-    let writer = Writer::new(Sink::Stream { stream: sink, form });
+    let writer = Writer::new(Sink::Stream {
+        stream: Stream::new(sink),
+        form,
+    });
     if form.is_binary() {
         let preface = Encoded {
             head: Bytes::from_static(&PREFACE),
@@ -226,6 +229,7 @@ pub(crate) async fn begin(
         buffer: ReadBuffer::new(buffer),
         decoder,
         form,
+        unpacker: None,
     });
     Ok(Transceiver {
         reader,

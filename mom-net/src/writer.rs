@@ -2,13 +2,14 @@
 
 use std::collections::VecDeque;
 use std::io::{self, IoSlice};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
-use mom_proto::Parcel;
 use mom_proto::codec::Form;
+use mom_proto::{Compression, Parcel};
 use tokio::sync::mpsc;
 use tokio::sync::mpsc::error::TrySendError;
 
+use crate::compressed::Packer;
 use crate::socket::WriteHalf;
 use crate::{Door, NetError, Outgoing, TcpState};
 
@@ -23,8 +24,34 @@ pub struct Writer {
 
 #[derive(Debug)]
 pub(crate) enum Sink {
-    Stream { stream: WriteHalf, form: Form },
+    Stream { stream: Stream, form: Form },
     Local(mpsc::Sender<Arc<Parcel>>),
+}
+
+/// Where a form's bytes go: through a compressor, once one was begun.
+#[derive(Debug)]
+pub(crate) struct Stream {
+    link: WriteHalf,
+    /// What is to be begun where no frame is under way.
+    wanted: OnceLock<Compression>,
+    packer: OnceLock<Box<Packer>>,
+}
+
+impl Stream {
+    pub(crate) fn new(link: WriteHalf) -> Stream {
+        Stream {
+            link,
+            wanted: OnceLock::new(),
+            packer: OnceLock::new(),
+        }
+    }
+
+    fn try_write(&self, pieces: &[IoSlice<'_>]) -> io::Result<Option<usize>> {
+        match self.packer.get() {
+            Some(packer) => packer.try_write(&self.link, pieces),
+            None => self.link.try_write(pieces),
+        }
+    }
 }
 
 /// How far a writer came.
@@ -52,7 +79,7 @@ impl Writer {
     /// What carries the form, none inside a process.
     pub fn door(&self) -> Option<Door> {
         match &self.sink {
-            Sink::Stream { stream, .. } => Some(stream.door()),
+            Sink::Stream { stream, .. } => Some(stream.link.door()),
             Sink::Local(_) => None,
         }
     }
@@ -118,9 +145,53 @@ impl Writer {
     /// The state of the network below, none inside a process or where the system does not tell.
     pub fn link(&self) -> Option<TcpState> {
         match &self.sink {
-            Sink::Stream { stream, .. } => stream.link(),
+            Sink::Stream { stream, .. } => {
+                let link = stream.link.link();
+                match stream.packer.get() {
+                    // As if it knew the bytes that were taken.
+                    Some(packer) => link.map(|link| TcpState {
+                        acknowledged: link.acknowledged.saturating_add_signed(packer.saved()),
+                        ..link
+                    }),
+                    None => link,
+                }
+            }
             Sink::Local(_) => None,
         }
+    }
+
+    /// How many bytes fewer went out than were written: what compressing has saved.
+    pub fn saved(&self) -> i64 {
+        match &self.sink {
+            Sink::Stream { stream, .. } => stream.packer.get().map_or(0, |packer| packer.saved()),
+            Sink::Local(_) => 0,
+        }
+    }
+
+    /// Compresses so all that is written from the next boundary between two frames on, for as long as this writer lives. Only one way is
+    /// ever begun.
+    pub fn compress(&self, way: Compression) {
+        if let Sink::Stream { stream, .. } = &self.sink {
+            // Another one is begun already.
+            let _ = stream.wanted.set(way);
+        }
+    }
+
+    /// No frame is under way: what was to be begun is.
+    ///
+    /// # Errors
+    /// No memory for it.
+    pub(crate) fn at_boundary(&self) -> Result<(), NetError> {
+        if let Sink::Stream { stream, form } = &self.sink
+            && let Some(way) = stream.wanted.get()
+            && stream.packer.get().is_none()
+        {
+            let packer = Packer::new(*way, form.is_binary())?;
+            if stream.packer.set(Box::new(packer)).is_ok() {
+                stream.link.begin_binary();
+            }
+        }
+        Ok(())
     }
 
     /// Waits until the link takes more.
@@ -129,7 +200,7 @@ impl Writer {
     /// A failed link.
     pub async fn ready(&self) -> Result<(), NetError> {
         match &self.sink {
-            Sink::Stream { stream, .. } => Ok(stream.writable().await?),
+            Sink::Stream { stream, .. } => Ok(stream.link.writable().await?),
             Sink::Local(sender) => sender.reserve().await.map(drop).map_err(|_| closed()),
         }
     }
@@ -160,12 +231,12 @@ impl Writer {
     /// Says that nothing more comes from this end. In a process that is when the writer is dropped.
     pub fn finish(&self) {
         if let Sink::Stream { stream, .. } = &self.sink {
-            stream.finish();
+            stream.link.finish();
         }
     }
 }
 
-fn write_stream<T>(stream: &WriteHalf, queue: &mut VecDeque<T>) -> Result<bool, NetError>
+fn write_stream<T>(stream: &Stream, queue: &mut VecDeque<T>) -> Result<bool, NetError>
 where
     T: AsRef<Outgoing> + AsMut<Outgoing>,
 {

@@ -21,6 +21,7 @@ mod checksum;
 mod clock_offset;
 pub mod codec;
 mod codes;
+mod compression;
 mod content;
 mod context_kind;
 mod delivery;
@@ -58,6 +59,7 @@ pub use challenge::{
 pub use checksum::{Checksum, ReadCount};
 pub use clock_offset::{ClockOffset, Exchange, OffsetEstimator};
 pub use codes::Code;
+pub use compression::{Compression, STREAM_MARK, STREAM_WINDOW_LOG};
 pub use content::Content;
 pub use context_kind::ContextKind;
 pub use delivery::{Delivery, Overflow};
@@ -73,7 +75,7 @@ pub use names::{
     HUB, check_message_name, check_name, check_text, folds_of, is_xml_char, looks_of, numbered_name,
     resembles, xml_violation,
 };
-pub use packed::{Packed, ZSTD};
+pub use packed::Packed;
 pub use parcel::{ContextNumber, HISTORY, MAX_ID, PRIORITY, Parcel, STOP};
 pub use path::Path;
 pub use pattern::Pattern;

@@ -8,9 +8,6 @@ use zstd::bulk::{Compressor, Decompressor};
 
 use crate::{Code, WireError};
 
-/// What a login asks for, and is answered, in `compress`.
-pub const ZSTD: &str = "zstd";
-
 /// Smaller content stays as it is: what could be saved is less than a packet's headers.
 const SMALLEST: usize = 512;
 

@@ -7,7 +7,7 @@ use std::time::Duration;
 use bytes::BytesMut;
 use mom_proto::binary::{BinaryDecoder, PREFACE};
 use mom_proto::codec::{Decoder, Form, Frame};
-use mom_proto::{Code, Family, Limit, Limits, Map, Parcel, Path, Value, WireError, ZSTD};
+use mom_proto::{Code, Compression, Family, Limit, Limits, Map, Parcel, Path, Value, WireError};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpSocket, TcpStream};
 use tokio::time::timeout;
@@ -113,7 +113,7 @@ impl Raw {
             user => Map::new().with("name", user).with("password", user),
         };
         if self.form == Form::Packed {
-            content.set("compress", vec![Value::from(ZSTD)]);
+            content.set("compress", vec![Value::from(Compression::Zstd.word())]);
         }
         let login = Parcel::new(Family::Login, "login").content(content);
         let welcome = self.ask(login).await?.value();

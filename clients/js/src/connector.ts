@@ -135,7 +135,7 @@ export class Connector {
     let wire: Wire | null = null;
     stop.addEventListener("abort", () => wire?.drop());
     try {
-      wire = await connectWire(doors, this.#make, {}, stop, this.options.stagger);
+      wire = await connectWire(doors, this.#make, { compress: this.options.compress === true }, stop, this.options.stagger);
       return await enter(wire);
     } catch (error) {
       wire?.drop();

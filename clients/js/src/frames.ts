@@ -7,6 +7,8 @@ const STREAMS = 8;
 const FIRST = 1;
 const LAST = 2;
 const ABORTED = 4;
+/** The kind of the frame behind which all is compressed. */
+const COMPRESSED = 2;
 
 interface Stream {
   readonly whole: Uint8Array;
@@ -20,6 +22,8 @@ export class Frames {
   #end = 0;
   #greeted = false;
   readonly #streams = new Map<number, Stream>();
+  /** Takes what has come behind the mark of a stream, where one may come. */
+  onStream: ((rest: Uint8Array) => void) | null = null;
   /** The longest parcel; the hub keeps its own limit, too. */
   most = Infinity;
 
@@ -36,7 +40,11 @@ export class Frames {
       this.#begin += 4 + length;
       const kind = frame[0] ?? 0;
       if (kind === PARCEL) yield frame.subarray(1);
-      else if (kind === CHUNK) {
+      else if (kind === COMPRESSED && this.onStream) {
+        const rest = this.#bytes.subarray(this.#begin, this.#end);
+        this.#begin = this.#end;
+        return this.onStream(rest);
+      } else if (kind === CHUNK) {
         const whole = this.#chunk(new Reader(frame.subarray(1)));
         if (whole) yield whole;
       } else if (kind < 128) throw local("bad-frame", `${kind} is no kind of frames`);

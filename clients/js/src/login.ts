@@ -1,6 +1,7 @@
 // From a connection to a peer.
 import { utf8 } from "./bytes.js";
 import { MomError, local } from "./error.js";
+import { CAN_INFLATE } from "./inflater.js";
 import { type Said, saidOf } from "./ledger.js";
 import type { ConnectOptions } from "./options.js";
 import type { Parcel } from "./parcel.js";
@@ -59,6 +60,7 @@ export async function logIn(wire: Wire, options: ConnectOptions, nextId: NextId)
   const { link = options.reconnect !== false } = options;
   if (link) more["link"] = link === true ? true : { grace: link.grace };
   if (options.heartbeat !== undefined) more["heartbeat"] = options.heartbeat;
+  if (options.compress && CAN_INFLATE) more["compress"] = ["stream-deflate"];
   try {
     return await once(wire, options, nextId, { ...plain, ...more });
   } catch (error) {

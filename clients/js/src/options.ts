@@ -36,6 +36,11 @@ export interface ConnectOptions extends Proof {
   link?: boolean | { grace: number };
   /** ms between signs of life, from 100 to 10 000; the hub's own, mostly 10 s, unless another is asked for. */
   heartbeat?: number;
+  /**
+   * Has the hub compress all that it says (zlib), which brings texts to about a tenth of their bytes and pictures to what they were, where the
+   * platform can open it. What this peer says stays as it is: browsers compress no stream that has to arrive at once. Not by default.
+   */
+  compress?: boolean;
   /** ms for a reply; 40 s, because a manager may have to ask somebody. */
   requestTimeout?: number;
   /** ms for one attempt to connect and log in; 10 s. */

@@ -2,6 +2,7 @@ import type { Door } from "./address.js";
 import { PREFACE, decode, encode } from "./binary.js";
 import { MomError, disconnected } from "./error.js";
 import { Frames } from "./frames.js";
+import { CAN_INFLATE, Inflater } from "./inflater.js";
 import type { Parcel } from "./parcel.js";
 import type { Heard, Pipe, WebSocketClass } from "./pipe.js";
 import { Time } from "./value.js";
@@ -22,6 +23,8 @@ export interface WireOptions {
   exact?: boolean;
   /** Whether pongs tell the time, so that the hub measures this clock. */
   stamps?: boolean;
+  /** Whether the hub may compress what it says, as a login asks for by `compress: ["stream-deflate"]`. */
+  compress?: boolean;
 }
 
 /** One connection to a hub: parcels both ways. Until somebody takes it, what comes waits. */
@@ -36,18 +39,40 @@ export class Wire implements Heard {
   #wake: () => void = () => undefined;
   #listener: Listener | null = null;
   #ended: string | null = null;
+  #inflater: Inflater | null = null;
+  /** Why it ends, once what has come is opened. */
+  #ends: string | null = null;
 
-  constructor(readonly options: WireOptions = {}) {}
+  constructor(readonly options: WireOptions = {}) {
+    if (options.compress && CAN_INFLATE) this.frames.onStream = (rest) => this.#inflate(rest);
+  }
 
   bytes(bytes: Uint8Array): void {
+    if (this.#inflater) return this.#inflater.push(bytes);
+    this.#take(bytes);
+  }
+
+  #take(bytes: Uint8Array): void {
     if (this.#ended !== null) return;
     try {
       for (const frame of this.frames.push(bytes)) this.#frame(frame);
     } catch (error) {
       if (!(error instanceof MomError)) throw error;
       this.pipe.close();
-      this.end(error.message);
+      this.#end(error.message);
     }
+  }
+
+  #inflate(rest: Uint8Array): void {
+    this.frames.onStream = null;
+    this.#inflater = new Inflater(
+      (bytes) => this.#take(bytes),
+      (why) => {
+        if (this.#ends === null) this.pipe.close();
+        this.#end(this.#ends ?? why);
+      },
+    );
+    this.#inflater.push(rest);
   }
 
   drained(): void {
@@ -55,6 +80,12 @@ export class Wire implements Heard {
   }
 
   end(why: string): void {
+    if (!this.#inflater) return this.#end(why);
+    this.#ends ??= why;
+    this.#inflater.close();
+  }
+
+  #end(why: string): void {
     if (this.#ended !== null) return;
     this.#ended = why;
     this.#wake();
@@ -94,6 +125,7 @@ export class Wire implements Heard {
     this.#listener = null;
     this.#ended ??= "it was given up";
     this.#wake();
+    this.#inflater?.close();
     this.pipe?.close();
   }
 

@@ -11,3 +11,4 @@ export { sha256, hmac } from "../src/sha256.js";
 export { doorsOf, shown } from "../src/address.js";
 export { Attempts } from "../src/connector.js";
 export { WORDS } from "../src/words.js";
+export { Wire } from "../src/wire.js";

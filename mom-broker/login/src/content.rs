@@ -1,7 +1,9 @@
 //! The content of a login. Its errors quote nothing, because it may be a secret in the wrong field.
 
 use mom_proto::nearest::nearest;
-use mom_proto::{Code, Map, Parcel, ReadCount, SECRET_BYTES, Value, ValueKind, WireError, ZSTD, check_name};
+use mom_proto::{
+    Code, Compression, Map, Parcel, ReadCount, SECRET_BYTES, Value, ValueKind, WireError, check_name,
+};
 
 use crate::resume::{LinkWish, ResumeAnswer, Wishes};
 
@@ -69,7 +71,7 @@ impl LoginRequest {
         let wishes = Wishes {
             link: take_link(&mut map)?,
             heartbeat: take_count(&mut map, "heartbeat")?,
-            packed: take_ways(&mut map)?,
+            compress: take_ways(&mut map)?,
         };
         check_rest(&map, &KEYS)?;
         if wishes.heartbeat.is_some_and(|beat| beat < SHORTEST_BEAT) {
@@ -200,14 +202,21 @@ fn take_link(map: &mut Map) -> Result<Option<LinkWish>, WireError> {
     }
 }
 
-/// Whether zstd is among the ways of compressing that the peer knows; others may come.
-fn take_ways(map: &mut Map) -> Result<bool, WireError> {
-    match take(map, "compress") {
-        None => Ok(false),
-        Some(Value::List(ways)) if ways.iter().all(|way| way.as_str().is_some()) => {
-            Ok(ways.iter().any(|way| way.as_str() == Some(ZSTD)))
+/// Ways that are not known are as if they were not there.
+fn take_ways(map: &mut Map) -> Result<Vec<Compression>, WireError> {
+    let ways = match take(map, "compress") {
+        None => return Ok(Vec::new()),
+        Some(Value::List(ways)) => ways,
+        Some(other) => return Err(wrong_kind("compress", &other, "a list of strings")),
+    };
+    let words: Option<Vec<&str>> = ways.iter().map(Value::as_str).collect();
+    match words {
+        Some(words) => {
+            let mut known: Vec<Compression> = words.into_iter().filter_map(Compression::of).collect();
+            known.truncate(Compression::ALL.len());
+            Ok(known)
         }
-        Some(other) => Err(wrong_kind("compress", &other, "a list of strings")),
+        None => Err(wrong_kind("compress", &Value::List(ways), "a list of strings")),
     }
 }
 

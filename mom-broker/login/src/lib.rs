@@ -465,8 +465,8 @@ impl Granted {
     }
 
     /// What else was asked for.
-    pub fn wishes(&self) -> Wishes {
-        self.wishes
+    pub fn wishes(&self) -> &Wishes {
+        &self.wishes
     }
 
     /// Where the user comes from, for logs.

@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use hmac::{Hmac, Mac};
 use mom_proto::{
-    Code, LINK_CONTEXT, Map, Micros, NONCE_BYTES, Parcel, ReadCount, SECRET_BYTES, Value, WireError,
-    link_challenge,
+    Code, Compression, LINK_CONTEXT, Map, Micros, NONCE_BYTES, Parcel, ReadCount, SECRET_BYTES, Value,
+    WireError, link_challenge,
 };
 use sha2::Sha256;
 
@@ -16,14 +16,14 @@ use crate::content;
 const LONGEST_ID: usize = 64;
 
 /// What a login asks for beside the proof of who it is.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Wishes {
     /// That its connection may be lost and come back.
     pub link: Option<LinkWish>,
     /// How often both sides say that they are there, ms.
     pub heartbeat: Option<u64>,
-    /// That content may be compressed.
-    pub packed: bool,
+    /// How its connection may be compressed, what it would rather have first.
+    pub compress: Vec<Compression>,
 }
 
 /// A link that is asked for.

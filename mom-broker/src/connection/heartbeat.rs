@@ -89,7 +89,7 @@ impl Connection {
         // While this thread was late it heard nobody.
         self.excuse(now.saturating_duration_since(at));
         if now < self.deadline() {
-            self.beat(reader.received());
+            self.beat(reader.brought());
             return Ok(());
         }
         let error = match self.logged_in {
@@ -114,7 +114,7 @@ impl Connection {
 
     /// Asks a peer that says or hears nothing else whether it is there, and one that stamps its answers for its
     /// clock.
-    fn beat(&mut self, received: u64) {
+    fn beat(&mut self, brought: u64) {
         let (now, beat) = (
             Instant::now(),
             Duration::from_millis(self.services.limits.heartbeat),
@@ -124,7 +124,7 @@ impl Connection {
         // A peer that only listens has to be asked too, or it would be taken for gone.
         let silent = !self.outbox.heard.lately.swap(false, Ordering::Relaxed);
         let mut touched = Touched::new();
-        self.tell_read(received, &mut touched);
+        self.tell_read(brought, &mut touched);
         flush(&mut touched);
         if quiet || silent || self.pings.are_stamped() {
             let ping = self.pings.next(&self.services.board.clock);

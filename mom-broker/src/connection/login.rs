@@ -5,15 +5,16 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mom_hub::{Input, User};
-use mom_login::{Granted, LoginStep};
-use mom_net::Reader;
+use mom_login::{Granted, LoginStep, UserSource};
+use mom_net::{COMPRESSION_MEMORY, Reader};
 use mom_proto::codec::Form;
-use mom_proto::{Code, Family, Limits, Map, Parcel, Path, Value, Verb, WireError, ZSTD, check_name};
+use mom_proto::{Code, Compression, Family, Limits, Map, Parcel, Path, Value, Verb, WireError, check_name};
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
 use super::links::Served;
 use super::{Asked, Connection};
+use crate::traffic::memory::{Account, Gate};
 use crate::traffic::outbox::LoginFacts;
 use crate::traffic::switchboard::{Touched, flush};
 
@@ -144,7 +145,12 @@ impl Connection {
             tracing::info!(peer = peer.0, user = granted.user(), origin = ?granted.origin(), from = ?self.arrival.remote.from, "logged in");
         }
         let account = board.memory.account(&granted.user().into());
-        let told = self.grant_wishes(&granted);
+        let told = self.grant_wishes(&granted, &account);
+        let compression = told
+            .get("compress")
+            .and_then(Value::as_str)
+            .and_then(Compression::of);
+        let stream = compression.filter(|way| way.is_stream() && self.arrival.compression.is_some());
         let visit = self.arrival.remote.visit;
         let logged_in = &mut self.logged_in;
         let decide = |mut user: User, nickname: Option<String>| {
@@ -185,11 +191,17 @@ impl Connection {
         // Its first bytes may have come with those by which its form was told.
         self.outbox.note_heard(reader.received());
         self.outbox.admit(limits, name, account, login);
+        if let Some(way) = stream {
+            reader.take_compressed(way);
+            // Behind the reply, whose secrets belong in no dictionary that is shared with what others say.
+            flush(touched);
+            self.outbox.begin_stream(way);
+        }
         Ok(Login::Goes)
     }
 
     /// Grants what a login asks for beside entry; gives what its reply tells of that.
-    fn grant_wishes(&mut self, granted: &Granted) -> Map {
+    fn grant_wishes(&mut self, granted: &Granted, account: &Arc<Account>) -> Map {
         let (mut told, wishes) = (Map::new(), granted.wishes());
         if let Some(beat) = wishes.heartbeat {
             let limits = &self.services.limits;
@@ -206,8 +218,8 @@ impl Connection {
         }
         // Another user on the same connection is another peer.
         if self.logged_in {
-            if self.outbox.packs() {
-                told.set("compress", ZSTD);
+            if let Some(way) = self.compression() {
+                told.set("compress", way.word());
             }
             if self.services.board.tap.audit.user(self.peer()).as_deref() != Some(granted.user()) {
                 self.end_link();
@@ -228,11 +240,35 @@ impl Connection {
                 None => self.outbox.end_link(),
             }
         }
-        if wishes.packed && self.outbox.form() == Some(Form::Binary) {
-            self.outbox.begin_packing();
-            told.set("compress", ZSTD);
+        if let Some(way) = self.choose_compression(granted, account) {
+            told.set("compress", way.word());
         }
         told
+    }
+
+    /// How this connection is compressed.
+    fn compression(&self) -> Option<Compression> {
+        match self.outbox.packs() {
+            true => Some(Compression::Zstd),
+            false => self.arrival.compression.as_ref().map(|(way, _)| *way),
+        }
+    }
+
+    /// The first of the ways that the peer knows which this connection can have.
+    fn choose_compression(&mut self, granted: &Granted, account: &Arc<Account>) -> Option<Compression> {
+        let form = self.outbox.form()?;
+        // A stream costs memory from the first byte on, and the hub opens what comes: strangers get none.
+        let may_stream = granted.origin() != UserSource::Guest && account.gate() == Gate::Open;
+        let fits = |way: &&Compression| match way {
+            Compression::Zstd => form == Form::Binary,
+            Compression::StreamZstd | Compression::StreamDeflate => may_stream,
+        };
+        let way = *granted.wishes().compress.iter().find(fits)?;
+        match way.is_stream() {
+            true => self.arrival.compression = Some((way, account.charge(COMPRESSION_MEMORY))),
+            false => self.outbox.begin_packing(),
+        }
+        Some(way)
     }
 
     /// The end of this connection is the end of its peer from now on.

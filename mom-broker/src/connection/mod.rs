@@ -25,7 +25,7 @@ use mom_hub::{Input, PeerClock, PeerId};
 use mom_login::{Challenge, LoginLink, ResumeChallenge};
 use mom_net::{NetError, Privacy, Reader};
 use mom_proto::codec::{Deferred, Frame};
-use mom_proto::{Code, Content, Family, Limits, Micros, Parcel, Verb, WireError, outlives_loss};
+use mom_proto::{Code, Compression, Content, Family, Limits, Micros, Parcel, Verb, WireError, outlives_loss};
 use mom_system::Expiry;
 use tokio::time::{Instant, timeout_at};
 
@@ -120,6 +120,8 @@ struct Arrival {
     unfinished: Option<Unfinished>,
     /// The bytes of a whole one that waits for a thread which opens it.
     opening: usize,
+    /// How all that follows is compressed, and the memory for it.
+    compression: Option<(Compression, Charge)>,
 }
 
 impl Arrival {
@@ -318,8 +320,8 @@ impl Connection {
             }
         };
         let link = self.link.as_ref();
-        if link.is_some_and(|served| served.is_due(reader.received())) {
-            self.tell_read(reader.received(), &mut touched);
+        if link.is_some_and(|served| served.is_due(reader.brought())) {
+            self.tell_read(reader.brought(), &mut touched);
         }
         flush(&mut touched);
         self.count_held(reader, whole || (handled > 0 && !reader.assembles()));

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use mom_hub::Input;
 use mom_login::{ResumeAnswer, ResumeChallenge};
-use mom_net::{BadCount, Reader, Rewound};
+use mom_net::{BadCount, COMPRESSION_MEMORY, Reader, Rewound};
 use mom_proto::{Code, Family, Map, Parcel, Path, ReadCount, WireError};
 use tokio::time::{Instant, timeout};
 
@@ -147,6 +147,10 @@ impl Connection {
         if self.outbox.packs() {
             reader.take_packed();
         }
+        if let Some((way, account)) = self.outbox.stream().zip(self.outbox.account()) {
+            reader.take_compressed(way);
+            self.arrival.compression = Some((way, account.charge(COMPRESSION_MEMORY)));
+        }
         reader.trust();
         let link = self.arrival.link();
         board.tap.audit.moved(peer, link.from);
@@ -188,11 +192,11 @@ impl Connection {
     }
 
     /// Tells the peer how much of what it has said was read, if it does not know.
-    pub(super) fn tell_read(&mut self, received: u64, touched: &mut Touched) {
+    pub(super) fn tell_read(&mut self, brought: u64, touched: &mut Touched) {
         let Some(served) = self.link.as_mut().filter(|served| served.untold() > 0) else {
             return;
         };
-        (served.told, served.told_at) = (served.read.parcels, received);
+        (served.told, served.told_at) = (served.read.parcels, brought);
         let ack = Parcel::new(Family::Time, "ack")
             .context(Path::root())
             .content(served.read.put(Map::new()));

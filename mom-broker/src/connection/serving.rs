@@ -69,6 +69,7 @@ impl Serving {
                 behind: None,
                 unfinished: None,
                 opening: 0,
+                compression: None,
             }),
             logged_in: false,
             failures: 0,

@@ -21,7 +21,10 @@ pub fn write_batch<I: Item>(
     if form.is_none() {
         return pass(writer, batch, left);
     }
-    while !batch.is_empty() {
+    while let Some(front) = batch.front() {
+        if !front.is_begun() {
+            writer.at_boundary()?;
+        }
         let mut slices = Vec::with_capacity(GATHER.min(batch.len() * 2 + 1));
         for piece in batch.iter() {
             if slices.len() + 3 > GATHER {

@@ -145,6 +145,10 @@ pub(super) struct Incoming {
     control: Vec<u8>,
     /// A character of a text whose end is still to come.
     character: Vec<u8>,
+    /// Where messages are text, what is compressed comes in binary ones.
+    pub(super) takes_binary: bool,
+    /// The message that comes is binary.
+    is_binary: bool,
     /// The other side has said that it says no more.
     pub(super) closed: bool,
     /// It has said that it will not come back, as browsers do for a page that is left; a network that fails says nothing.
@@ -221,11 +225,16 @@ impl Incoming {
                 }
                 _ => {
                     self.in_message = !frame.last || frame.left > 0;
-                    if rules.text {
+                    // One that comes in fragments is of the kind of its first.
+                    if frame.kind != CONTINUATION {
+                        self.is_binary = frame.kind == BINARY;
+                    }
+                    let is_text = rules.text && !self.is_binary;
+                    if is_text {
                         self.check_text(payload)?;
                     }
-                    put(payload, rules, room);
-                    if rules.text && !self.in_message {
+                    put(payload, is_text, room);
+                    if is_text && !self.in_message {
                         room.put_u8(b'\n');
                     }
                 }
@@ -290,7 +299,9 @@ impl Incoming {
             CONTINUATION if !self.in_message => return Err(fault("nothing is to be continued")),
             TEXT | BINARY if self.in_message => return Err(fault("the message before has no end")),
             TEXT if !rules.text => return Err(of_kind("mom.bin.v1 takes binary messages")),
-            BINARY if rules.text => return Err(of_kind("mom.json.v1 takes text messages")),
+            BINARY if rules.text && !self.takes_binary => {
+                return Err(of_kind("mom.json.v1 takes text messages"));
+            }
             CONTINUATION | TEXT | BINARY => {}
             _ => return Err(fault("a frame of this kind does not exist")),
         }
@@ -390,8 +401,8 @@ fn head_length(second: u8) -> usize {
 
 /// Passes payload to the reader. A line end inside a text is a blank of JSON, but would end a frame of the form that is
 /// made of lines.
-fn put(payload: &mut [u8], rules: Rules, room: &mut impl BufMut) {
-    if rules.text {
+fn put(payload: &mut [u8], is_text: bool, room: &mut impl BufMut) {
+    if is_text {
         let mut from = 0;
         while let Some(at) = memchr::memchr(b'\n', &payload[from..]) {
             payload[from + at] = b'\r';

@@ -1,7 +1,8 @@
 //! WebSocket (RFC 6455) below a form, for browsers and for networks that let HTTP through only.
 //!
 //! The subprotocol tells the form: `mom.json.v1` has one parcel in each text message; `mom.bin.v1` has the stream of the
-//! binary form cut into binary messages anywhere, so that chunks and lanes work as on TCP.
+//! binary form cut into binary messages anywhere, so that chunks and lanes work as on TCP. What is compressed as a stream is cut into
+//! binary messages in the same way, whichever form it carries.
 //!
 //! The frames are our own, as TLS's bytes are rustls's: a writer here never waits, shares the network's bytes with nobody's
 //! buffer while it takes them, and must be able to take back what has not left (docs/decisions.md).
@@ -62,6 +63,8 @@ struct State {
     owed: bool,
     /// A text message was begun and has no end yet.
     in_message: bool,
+    /// What is sent is no text any more: it is compressed.
+    sends_binary: bool,
     /// The end was said.
     finished: bool,
     /// What is wrong with what the other side has sent: said at the end, behind what there is to say in its own words.
@@ -82,6 +85,7 @@ impl WebSocket {
             out: BytesMut::new(),
             owed: false,
             in_message: false,
+            sends_binary: false,
             fault: None,
             finished: false,
             sent: 0,
@@ -176,6 +180,16 @@ impl WebSocket {
         }
     }
 
+    /// From now on, takes binary messages also where text was agreed on: the other side may compress what follows.
+    pub(crate) fn take_binary(&self) {
+        self.state.lock().incoming.takes_binary = true;
+    }
+
+    /// From now on, sends binary messages. No text message is under way.
+    pub(crate) fn begin_binary(&self) {
+        self.state.lock().sends_binary = true;
+    }
+
     /// What still comes is read for its end only.
     pub(crate) fn forget(&self) {
         self.carrier.forget();
@@ -216,7 +230,7 @@ impl State {
         let mut pieces = pieces.to_vec();
         let mut rest = &mut pieces[..];
         IoSlice::advance_slices(&mut rest, usize::from(begun));
-        let frames = match rules.text {
+        let frames = match rules.text && !self.sends_binary {
             true => self.plan_text(rest),
             false => plan_binary(rest),
         };

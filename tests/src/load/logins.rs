@@ -1,7 +1,7 @@
 //! How peers of the load prove who they are, and come back.
 
 use hmac::{Hmac, Mac};
-use mom_proto::{Family, Map, Parcel, ReadCount, Value, ZSTD, link_challenge};
+use mom_proto::{Compression, Family, Map, Parcel, ReadCount, Value, link_challenge};
 use sha2::Sha256;
 
 use super::Mind;
@@ -76,7 +76,7 @@ impl Peer {
         }
         let mut content = mind.right_login();
         if self.is_packed() {
-            content.set("compress", vec![Value::from(ZSTD)]);
+            content.set("compress", vec![Value::from(Compression::Zstd.word())]);
         }
         let reply = self.ask(mind, "login", content).await;
         let Some(welcome) = reply

@@ -6,7 +6,7 @@ use std::time::Duration;
 use mom_broker::Broker;
 use mom_client::{Builder, Client, Event, Trust};
 use mom_proto::codec::Form;
-use mom_proto::{Code, Content, Family, Map, Packed, Parcel, Value, ZSTD};
+use mom_proto::{Code, Content, Family, Map, Packed, Parcel, Value};
 use mom_tests::faulty::{Fault, FaultyNetwork};
 use mom_tests::programs::PATIENCE;
 use mom_tests::raw::{Raw, at, message};
@@ -162,11 +162,18 @@ async fn compression_is_agreed_on_at_login() {
         Parcel::new(Family::Login, "login").content(content)
     };
     for (form, ways, agreed) in [
-        (Form::Binary, &["zstd"][..], Some(ZSTD)),
-        (Form::Binary, &["snappy", "zstd"], Some(ZSTD)),
+        (Form::Binary, &["zstd"][..], Some("zstd")),
+        (Form::Binary, &["snappy", "zstd"], Some("zstd")),
         (Form::Binary, &["snappy"], None),
         (Form::Json, &["zstd"], None),
         (Form::Xml, &["zstd"], None),
+        (Form::Json, &["zstd", "stream-zstd"], Some("stream-zstd")),
+        (
+            Form::Xml,
+            &["stream-deflate", "stream-zstd"],
+            Some("stream-deflate"),
+        ),
+        (Form::Binary, &["stream-deflate", "zstd"], Some("stream-deflate")),
     ] {
         let mut bob = Raw::connect(broker.local_addr(), form).await;
         let welcome = bob.ask(login(ways)).await.expect("a user of the lab").value();
@@ -284,7 +291,7 @@ async fn carried(asking: &Client, user: &str) -> (u64, u64) {
     (peer.received, peer.sent)
 }
 
-/// On TCP, a WebSocket and a tunnel, with TLS and without: a tenth of the bytes travels, both ways.
+/// On TCP, a WebSocket and a tunnel, with TLS and without, in each form: a tenth of the bytes travels, both ways.
 #[tokio::test]
 async fn clients_compress_on_every_door() {
     let broker = lab::start_with(|config| config.tls = tls::of_hub()).await;
@@ -294,11 +301,27 @@ async fn clients_compress_on_every_door() {
         .await;
     let carol = carol.expect("a user of the lab");
     let text = program(4000);
-    for scheme in ["bin", "bins", "ws", "wss", "http", "https"] {
-        let bob = client(format!("{scheme}://{address}"), &broker, "bob")
+    for door in [
+        "bin",
+        "bins",
+        "ws",
+        "wss",
+        "http",
+        "https",
+        "tcp",
+        "tcps",
+        "json",
+        "jsons",
+        "ws?form=json",
+        "wss?form=json",
+        "http?form=xml",
+        "https?form=json",
+    ] {
+        let (scheme, query) = door.split_at(door.find('?').unwrap_or(door.len()));
+        let bob = client(format!("{scheme}://{address}{query}"), &broker, "bob")
             .connect()
             .await;
-        let bob = bob.unwrap_or_else(|error| panic!("{scheme}: {error}"));
+        let bob = bob.unwrap_or_else(|error| panic!("{door}: {error}"));
         let chat = bob.channel(CHAT).await.expect("anybody may");
         let mut events = chat.events();
         let before = carried(&carol, "bob").await;
@@ -308,22 +331,22 @@ async fn clients_compress_on_every_door() {
                 match events.next().await {
                     Some(Event::Message(parcel)) => return parcel,
                     Some(_) => {}
-                    None => panic!("{scheme}: the connection has ended"),
+                    None => panic!("{door}: the connection has ended"),
                 }
             }
         };
         let heard = timeout(PATIENCE, heard).await.expect("it comes back");
-        assert_eq!(heard.value(), Value::from(text.as_str()), "{scheme}");
+        assert_eq!(heard.value(), Value::from(text.as_str()), "{door}");
         let after = carried(&carol, "bob").await;
         let most = text.len() as u64 / 10;
         assert!(
             after.0 - before.0 < most,
-            "{scheme}: {before:?} {after:?} of {}",
+            "{door}: {before:?} {after:?} of {}",
             text.len()
         );
         assert!(
             after.1 - before.1 < most,
-            "{scheme}: {before:?} {after:?} of {}",
+            "{door}: {before:?} {after:?} of {}",
             text.len()
         );
         bob.close().await;

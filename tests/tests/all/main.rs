@@ -61,6 +61,7 @@ mod states;
 mod stats;
 mod status;
 mod stops;
+mod streams;
 mod swarm;
 mod thinning;
 mod threats;

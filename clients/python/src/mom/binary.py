@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from typing import Any, Dict, Iterator, List, Optional, Tuple
 
 from .errors import LocalError
@@ -21,9 +22,13 @@ NAMES = (
 """The words that have a number, in its order."""
 
 _NUMBERS = {word: number for number, word in enumerate(NAMES)}
-_PARCEL, _CHUNK = 0, 1
+_PARCEL, _CHUNK, _COMPRESSED = 0, 1, 2
 _FIRST, _LAST, _ABORTED = 1, 2, 4
 _STREAMS = 8
+_OPENED = 64 * 1024
+
+STREAM_MARK = b"\0\0\0\1\2"
+"""Stands before all that is compressed: a frame of one byte, its kind."""
 
 
 def varint(number: int) -> bytes:
@@ -245,6 +250,9 @@ class Decoder:
         """The largest frame, and the most that open streams may announce together."""
         self.began = False
         """Whether the hub's preface has come."""
+        self.takes_stream = False
+        """Whether the hub may compress what follows: a login has asked for it by `stream-deflate`."""
+        self._inflate: Optional[Any] = None
         self._input = bytearray()
         self._streams: Dict[int, Tuple[int, bytearray]] = {}
 
@@ -253,11 +261,30 @@ class Decoder:
 
         `LocalError` with `bad-frame`, `bad-version` or `too-large` for a broken connection: nothing follows.
         """
+        if self._inflate is not None:
+            yield from self._open(data)
+            return
         self._input += data
         if not self.began:
             if not self._preface():
                 return
-        at = 0
+        yield from self._frames()
+
+    def _open(self, data: bytes) -> Iterator[Tuple[Parcel, int]]:
+        """Opens what has arrived, some at a time."""
+        while data:
+            try:
+                plain = self._inflate.decompress(data, _OPENED) if self._inflate else b""
+            except zlib.error as error:
+                raise LocalError("bad-frame", f"the hub's stream-deflate cannot be opened: {error}") from None
+            if self._inflate is None or self._inflate.eof or not plain and self._inflate.unconsumed_tail == data:
+                raise LocalError("bad-frame", "the hub has ended its stream-deflate")
+            data = self._inflate.unconsumed_tail
+            self._input += plain
+            yield from self._frames()
+
+    def _frames(self) -> Iterator[Tuple[Parcel, int]]:
+        at, rest = 0, b""
         try:
             while len(self._input) - at >= 4:
                 (length,) = struct.unpack_from(">I", self._input, at)
@@ -267,11 +294,16 @@ class Decoder:
                     break
                 body = bytes(memoryview(self._input)[at + 4 : at + 4 + length])
                 at += 4 + length
+                if body[0] == _COMPRESSED and self.takes_stream and self._inflate is None:
+                    self._inflate = zlib.decompressobj()
+                    rest, at = bytes(memoryview(self._input)[at:]), len(self._input)
+                    break
                 whole = self._whole(body)
                 if whole is not None:
                     yield decode(whole, self.numbers), len(whole)
         finally:
             del self._input[:at]
+        yield from self._open(rest)
 
     def _preface(self) -> bool:
         seen = bytes(self._input[: len(PREFACE)])

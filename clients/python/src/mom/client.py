@@ -73,6 +73,7 @@ def connect(
     link: bool = True,
     grace: Optional[float] = None,
     heartbeat: Optional[float] = None,
+    compress: bool = False,
     reconnect: Optional[Reconnect] = Reconnect(),
     request_timeout: float = 40.0,
     connect_timeout: float = 10.0,
@@ -96,6 +97,8 @@ def connect(
     - `link`, `grace`: whether a lost connection is resumed, and for how many seconds the hub is to wait for that; without
       `reconnect` it is not asked to.
     - `heartbeat`: the signs of life of this connection, from 0.1 to 10 seconds; a lost one is noticed after three of them.
+    - `compress`: whether both sides compress all that they say (zlib), which brings texts to about a tenth of their bytes and pictures to
+      what they were. It costs each side some hundred KiB of memory, and time: for slow links.
     - `reconnect`: the delays between attempts, at first and after a loss, when several fall into the grace time; `None`: a lost
       connection closes the client.
     - `request_timeout`, `connect_timeout`: how long to wait for a reply, and for a connection with its login.
@@ -112,7 +115,7 @@ def connect(
     credentials = Credentials(user, password, key, token, certificate, guest, nickname, hub_name)
     # Who does not come back leaves at once.
     links = link and reconnect is not None
-    options = Options(Address.parse(address), trust, links, grace, heartbeat, connect_timeout, reconnect, report)
+    options = Options(Address.parse(address), trust, links, grace, heartbeat, connect_timeout, reconnect, compress, report)
     return Connect(
         lambda: Core(wall_clock, event_buffer, request_timeout, installation), credentials, options, [on_state] if on_state else []
     )

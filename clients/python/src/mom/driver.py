@@ -46,6 +46,8 @@ class Options:
     heartbeat: Optional[float]
     connect_timeout: float
     reconnect: Optional[Reconnect]
+    compress: bool = False
+    """Whether both sides compress all that they say."""
     reporter: Union[None, str, Tuple[str, str]] = None
     """Which program reports that its first attempt fails, and its version."""
 
@@ -247,6 +249,8 @@ class Driver:
 
     async def _enter(self, connection: Connection) -> Tuple[Parcel, bool]:
         """Resumes the link, or logs in; the hub's reply, and whether the link goes on."""
+        if self.options.compress:
+            connection.take_stream()
         if self.core.link is not None:
             resumed = await self._resume(connection, self.core.link)
             if resumed is not None:
@@ -291,6 +295,8 @@ class Driver:
             content["link"] = True if grace is None else {"grace": int(grace * 1000)}
         if self.options.heartbeat is not None:
             content["heartbeat"] = round(self.options.heartbeat * 1000)
+        if self.options.compress:
+            content["compress"] = ["stream-deflate"]
         return content
 
     def welcomed(self, reply: Parcel) -> None:
@@ -303,6 +309,8 @@ class Driver:
         self.core.outbox.most_open = self.core.limit("parcel", 8 << 20)
         if self._connection is not None:
             self._connection.decoder.most = self.core.limit("parcel", 8 << 20)
+            if self.options.compress and content.get("compress") == "stream-deflate":
+                self._connection.begin_stream()
 
     async def _ask(self, connection: Connection, parcel: Parcel) -> Parcel:
         """A request before anything else is said; `RefusedError` for a refusal."""

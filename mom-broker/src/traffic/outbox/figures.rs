@@ -144,7 +144,11 @@ impl Outbox {
             round_trip: (round_trip > 0).then_some(round_trip),
             queued,
             // Whoever writes never waits for the link.
-            sent: self.way().flow.written(),
+            sent: {
+                let way = self.way();
+                let saved = way.writer.as_ref().map_or(0, |writer| writer.saved());
+                way.flow.written().saturating_add_signed(-saved)
+            },
             received: self.heard.bytes.load(Ordering::Relaxed),
             dropped,
         })

@@ -4,7 +4,7 @@ use std::sync::{Arc, Weak};
 
 use mom_net::{BadCount, Flow, Ledger, Rewound, Writer};
 use mom_proto::codec::Form;
-use mom_proto::{ContextNumber, Path, ReadCount};
+use mom_proto::{Compression, ContextNumber, Path, ReadCount};
 use mom_system::sync::atomic::Ordering;
 
 use super::{Outbox, Packet, place_of};
@@ -15,8 +15,8 @@ pub(super) struct LinkLedger {
     pub(super) ledger: Ledger<Packet>,
     /// Where the paths of contexts are known, once the peer has come back in another form.
     pub(super) paths: Option<Weak<dyn Paths>>,
-    /// Its peer reads compressed content in the binary form.
-    packs: bool,
+    /// What was agreed on for its connections.
+    compression: Option<Compression>,
 }
 
 /// What knows the paths of contexts.
@@ -47,7 +47,7 @@ impl Outbox {
         way.link = Some(Box::new(LinkLedger {
             ledger: Ledger::after_next(limit),
             paths: None,
-            packs: false,
+            compression: None,
         }));
         true
     }
@@ -57,10 +57,28 @@ impl Outbox {
     pub(crate) fn begin_packing(&self) {
         let mut way = self.way();
         if let Some(link) = &mut way.link {
-            link.packs = true;
+            link.compression = Some(Compression::Zstd);
         }
         self.queue.lock().begin_packing();
         self.form.store(place_of(Some(Form::Packed)), Ordering::Relaxed);
+    }
+
+    /// From the next boundary between frames on, compresses all that is written, on this connection and those that its link goes on with.
+    pub(crate) fn begin_stream(&self, compression: Compression) {
+        let mut way = self.way();
+        if let Some(link) = &mut way.link {
+            link.compression = Some(compression);
+        }
+        if let Some(writer) = &way.writer {
+            writer.compress(compression);
+        }
+    }
+
+    /// The stream that its link has agreed on.
+    pub(crate) fn stream(&self) -> Option<Compression> {
+        let way = self.way();
+        let compression = way.link.as_ref().and_then(|link| link.compression);
+        compression.filter(|compression| compression.is_stream())
     }
 
     /// Whether the peer gives and takes compressed content.
@@ -124,7 +142,7 @@ impl Outbox {
         let mut queue = self.queue.lock();
         let rewound = queue.resend(&mut link.ledger, read)?;
         let form = match writer.form() {
-            Some(Form::Binary) if link.packs => Some(Form::Packed),
+            Some(Form::Binary) if link.compression == Some(Compression::Zstd) => Some(Form::Packed),
             form => form,
         };
         if form != self.form() {
@@ -138,7 +156,13 @@ impl Outbox {
 
     /// Goes on with this connection.
     pub(crate) fn attach(&self, writer: Arc<Writer>) {
-        self.way().writer = Some(writer);
+        let mut way = self.way();
+        let compression = way.link.as_ref().and_then(|link| link.compression);
+        if let Some(compression) = compression.filter(|compression| compression.is_stream()) {
+            writer.compress(compression);
+        }
+        way.writer = Some(writer);
+        drop(way);
         self.queue.lock().find();
         self.touched.store(true, Ordering::Release);
         self.wake.notify_one();

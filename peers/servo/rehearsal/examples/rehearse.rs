@@ -21,6 +21,7 @@ fn main() -> io::Result<()> {
             frozen: [micros(7), micros(8)],
             stale: micros(9),
             wrong: micros(10),
+            stands: [0, 0],
             blind: None,
             seed: seed as u64,
         };

@@ -183,7 +183,7 @@ async fn drive(client: Client, mut over: watch::Receiver<bool>, ready: oneshot::
 }
 
 /// Alice's client, on the other side of a network that fails.
-async fn behind(network: &FaultyNetwork, scheme: &str, query: &str) -> Client {
+async fn behind(network: &FaultyNetwork, scheme: &str, query: &str, compress: bool) -> Client {
     let reconnect = Reconnect {
         first: Duration::from_millis(1),
         most: Duration::from_millis(5),
@@ -195,14 +195,19 @@ async fn behind(network: &FaultyNetwork, scheme: &str, query: &str) -> Client {
         .link(Duration::from_secs(120))
         .heartbeat(Duration::from_millis(100))
         .reconnect(reconnect)
+        .compress(compress)
         .wait_for_hub();
     builder.connect().await.expect("alice")
 }
 
 async fn survive(scheme: &str, query: &str, resume: u64) {
+    survive_as(scheme, query, resume, false).await;
+}
+
+async fn survive_as(scheme: &str, query: &str, resume: u64, compress: bool) {
     let broker = lab::start_with(|config| config.tls = tls::of_hub()).await;
     let network = FaultyNetwork::to(broker.local_addr(), move |number| fault(number, resume)).await;
-    let alice = behind(&network, scheme, query).await;
+    let alice = behind(&network, scheme, query, compress).await;
     let (commands, stop, obeying) = obey(steady(&broker, "arm").await).await;
     let bob = steady(&broker, "bob").await;
     let mut from_alice = hear(bob.clone(), "alice").await;
@@ -274,6 +279,17 @@ async fn over_tcp() {
 #[tokio::test]
 async fn over_tcp_in_xml() {
     survive("tcp", "", 16_000).await;
+}
+
+/// All that follows a login or a resume is compressed, anew on each connection (M16).
+#[tokio::test]
+async fn over_tcp_in_xml_compressed() {
+    survive_as("tcp", "", 8000, true).await;
+}
+
+#[tokio::test]
+async fn over_a_websocket_in_json_compressed() {
+    survive_as("ws", "?form=json", 4000, true).await;
 }
 
 #[tokio::test]

@@ -1,0 +1,242 @@
+//! The direction that is read.
+
+use std::cell::RefCell;
+use std::fmt;
+use std::io;
+use std::task::{Context, Poll};
+
+use bytes::{Buf as _, BytesMut};
+use flate2::{Decompress, FlushDecompress, Status};
+use mom_proto::codec::Form;
+use mom_proto::{Code, Compression, STREAM_MARK, STREAM_WINDOW_LOG, WireError};
+use zstd::stream::raw::{DParameter, Decoder, Operation as _};
+
+use crate::socket::ReadHalf;
+
+/// Opened at once: what so many bytes make is handled before more is.
+const STEP: usize = 64 * 1024;
+
+/// Read at once from the network.
+const AT_ONCE: usize = 16 * 1024;
+
+/// What a frame of zstd begins with (RFC 8878, 3.1.1).
+const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+
+/// The first byte of zlib with a window of 32 KiB (RFC 1950, 2.2).
+const ZLIB: u8 = 0x78;
+
+thread_local! {
+    /// What was opened: used within a turn only, so that idle connections need no memory for it.
+    static OPENED: RefCell<Vec<u8>> = const { RefCell::new(Vec::new()) };
+}
+
+/// Opens what arrives on a connection from where a stream begins.
+#[derive(Debug)]
+pub(crate) struct Unpacker {
+    way: Compression,
+    form: Form,
+    /// None before the stream has begun.
+    engine: Option<Engine>,
+    /// What has arrived and is not opened.
+    arrived: BytesMut,
+    /// What was read may give more than was taken.
+    has_more: bool,
+}
+
+enum Engine {
+    Zstd(Box<Decoder<'static>>),
+    Deflate(Box<Decompress>),
+}
+
+impl fmt::Debug for Engine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Engine::Zstd(_) => "zstd",
+            Engine::Deflate(_) => "deflate",
+        })
+    }
+}
+
+/// Whether a stream begins where a parcel could.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Begins {
+    No,
+    /// More has to arrive before that is known.
+    Perhaps,
+    /// Behind so many bytes.
+    At(usize),
+}
+
+impl Unpacker {
+    /// For a connection on which the stream has not begun.
+    pub(crate) fn new(way: Compression, form: Form) -> Unpacker {
+        Unpacker {
+            way,
+            form,
+            engine: None,
+            arrived: BytesMut::new(),
+            has_more: false,
+        }
+    }
+
+    pub(crate) fn is_open(&self) -> bool {
+        self.engine.is_some()
+    }
+
+    /// Whether something is here that can be opened at once.
+    pub(crate) fn has_more(&self) -> bool {
+        self.has_more || !self.arrived.is_empty()
+    }
+
+    /// Looks whether the stream begins at the front of what has arrived, and opens the first of it; false if more has to arrive before
+    /// anything can be said of it.
+    pub(crate) fn begin(&mut self, bytes: &mut BytesMut) -> Result<bool, WireError> {
+        let at = match self.begins(bytes) {
+            Begins::No => return Ok(true),
+            Begins::Perhaps => return Ok(false),
+            Begins::At(at) => at,
+        };
+        // Blanks stay, as whoever reads them may have seen them already.
+        let mut arrived = bytes.split_off(at);
+        if self.form.is_binary() {
+            arrived.advance(STREAM_MARK.len());
+            bytes.clear();
+        }
+        self.arrived = arrived;
+        self.engine = Some(self.open().map_err(|error| broken(self.way, &error))?);
+        self.fill(bytes)?;
+        Ok(true)
+    }
+
+    fn begins(&self, bytes: &[u8]) -> Begins {
+        if self.form.is_binary() {
+            let known = bytes.len().min(STREAM_MARK.len());
+            return match bytes[..known] == STREAM_MARK[..known] {
+                false => Begins::No,
+                true if known < STREAM_MARK.len() => Begins::Perhaps,
+                true => Begins::At(0),
+            };
+        }
+        let blanks = bytes.iter().take_while(|byte| matches!(byte, b'\n' | b'\r'));
+        let at = blanks.count();
+        match (self.way, &bytes[at..]) {
+            (_, []) => Begins::No,
+            (Compression::StreamDeflate, [ZLIB]) => Begins::Perhaps,
+            // No preset dictionary, and the two bytes are a multiple of 31.
+            (Compression::StreamDeflate, [ZLIB, flags, ..])
+                if flags & 0x20 == 0 && u16::from_be_bytes([ZLIB, *flags]).is_multiple_of(31) =>
+            {
+                Begins::At(at)
+            }
+            (Compression::StreamZstd, rest) => {
+                let known = rest.len().min(ZSTD.len());
+                match rest[..known] == ZSTD[..known] {
+                    false => Begins::No,
+                    true if known < ZSTD.len() => Begins::Perhaps,
+                    true => Begins::At(at),
+                }
+            }
+            _ => Begins::No,
+        }
+    }
+
+    fn open(&self) -> io::Result<Engine> {
+        match self.way {
+            Compression::StreamZstd => {
+                let mut decoder = Decoder::new()?;
+                decoder.set_parameter(DParameter::WindowLogMax(STREAM_WINDOW_LOG))?;
+                Ok(Engine::Zstd(Box::new(decoder)))
+            }
+            Compression::StreamDeflate => Ok(Engine::Deflate(Box::new(Decompress::new(true)))),
+            Compression::Zstd => Err(io::ErrorKind::Unsupported.into()),
+        }
+    }
+
+    /// Reads what has arrived; 0 bytes at the end.
+    pub(crate) fn poll_read(
+        &mut self,
+        stream: &mut ReadHalf,
+        context: &mut Context<'_>,
+    ) -> Poll<io::Result<usize>> {
+        use bytes::BufMut as _;
+        self.arrived.reserve(AT_ONCE);
+        let mut room = (&mut self.arrived).limit(AT_ONCE);
+        let read = stream.poll_read(&mut room, context);
+        if read.is_pending() && self.arrived.is_empty() {
+            self.arrived = BytesMut::new();
+        }
+        read
+    }
+
+    /// Takes what a test has.
+    #[cfg(test)]
+    pub(crate) fn arrive(&mut self, bytes: &[u8]) {
+        self.arrived.extend_from_slice(bytes);
+    }
+
+    /// Opens some more of what has arrived, and gives how many bytes that are.
+    ///
+    /// # Errors
+    /// `bad-frame` for what is no stream, or needs more memory than was agreed on.
+    pub(crate) fn fill(&mut self, bytes: &mut BytesMut) -> Result<usize, WireError> {
+        let way = self.way;
+        let Some(engine) = &mut self.engine else {
+            return Ok(0);
+        };
+        OPENED.with_borrow_mut(|opened| {
+            opened.resize(STEP, 0);
+            let mut written = 0;
+            loop {
+                let step = engine.step(&self.arrived, &mut opened[written..]);
+                let (read, more) = step.map_err(|error| broken(way, &error))?;
+                self.arrived.advance(read);
+                written += more;
+                self.has_more = written == STEP;
+                if self.has_more || self.arrived.is_empty() {
+                    break;
+                }
+                if read == 0 && more == 0 {
+                    return Err(broken(way, &"nothing can be made of it"));
+                }
+            }
+            bytes.extend_from_slice(&opened[..written]);
+            Ok(written)
+        })
+    }
+}
+
+impl Engine {
+    /// Opens some bytes into this room; gives how many were read, and how many written.
+    fn step(&mut self, bytes: &[u8], room: &mut [u8]) -> io::Result<(usize, usize)> {
+        match self {
+            Engine::Zstd(decoder) => {
+                let status = decoder.run_on_buffers(bytes, room)?;
+                Ok((status.bytes_read, status.bytes_written))
+            }
+            Engine::Deflate(decompress) => {
+                let (read, written) = (decompress.total_in(), decompress.total_out());
+                let status = decompress.decompress(bytes, room, FlushDecompress::None)?;
+                let counts = (
+                    (decompress.total_in() - read) as usize,
+                    (decompress.total_out() - written) as usize,
+                );
+                if status == Status::StreamEnd {
+                    // Another may follow it, as frames of zstd do.
+                    decompress.reset(true);
+                }
+                Ok(counts)
+            }
+        }
+    }
+}
+
+fn broken(way: Compression, why: &dyn fmt::Display) -> WireError {
+    let text = match way {
+        Compression::StreamZstd => format!(
+            "the {way} cannot be opened: {why}; its window is {} KiB at most",
+            (1 << STREAM_WINDOW_LOG) / 1024
+        ),
+        _ => format!("the {way} cannot be opened: {why}"),
+    };
+    WireError::new(Code::BAD_FRAME, text)
+}
