@@ -11,6 +11,5 @@ mod unpacker;
 pub(crate) use packer::Packer;
 pub(crate) use unpacker::Unpacker;
 
-/// Bytes by which a direction that is compressed counts: what zstd and zlib keep for it, both directions together
-/// (`a_connection_keeps_less_than_it_is_charged`).
+/// The bytes that one connection is charged: more than what zstd or zlib allocate for both directions, of which a quiet one touches some KiB.
 pub const COMPRESSION_MEMORY: usize = 1024 * 1024;
