@@ -4,12 +4,14 @@
 //! [`mom_device`] queues the commands, obeys the token's owner, and answers; [`run`] makes the contexts of each robot and connects
 //! it to the hub.
 
+mod crew;
 mod peer;
 mod robot;
 mod station;
 mod unit;
 pub mod verb;
 
+pub use crew::Changes;
 pub use peer::{GatewayOptions, RobotWire, connections, run};
 pub use station::{lines, settings};
 pub use unit::Unit;

@@ -1,6 +1,7 @@
 //! The gateway of a fleet as a program of its own.
 
-use std::path::PathBuf;
+use std::io::IsTerminal as _;
+use std::path::{Path, PathBuf};
 use std::pin::pin;
 
 use anyhow::{Context, anyhow};
@@ -8,8 +9,10 @@ use clap::Parser;
 use mom_base_station::fleet::Fleet;
 use mom_base_station::station::Station;
 use mom_brs::file;
-use mom_gateway::{GatewayOptions, connections, lines, run, settings};
+use mom_gateway::{Changes, GatewayOptions, connections, lines, run, settings};
 use mom_program::{HubArgs, begin, shutdown};
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::sync::mpsc;
 
 /// A thousand robots are a lot of small pieces of memory.
 #[global_allocator]
@@ -23,7 +26,8 @@ Examples:
 
 The file of the fleet is that of mom-base-station, and mom-linuxbot --write-fleet writes one. The password is that of MOM_PASSWORD, unless
 --password-file names a file. A key (mom keygen) is taken from anywhere, a password over TLS (bins://, tcps://) or loopback. Where there is no
-hub yet it waits. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM halt the robots and end the program.";
+hub yet it waits. The log goes to the standard error; RUST_LOG says how much of it. SIGHUP has the file of
+the fleet read again. Ctrl-C and SIGTERM halt the robots and end the program.";
 
 /// The gateway of a fleet: makes robots that a base station drives devices of a hub, each with a channel and a token.
 #[derive(Debug, Parser)]
@@ -66,16 +70,49 @@ async fn main() -> anyhow::Result<()> {
         };
         clients.push(client);
     }
+    let hangup = signal(SignalKind::hangup()).context("cannot listen for SIGHUP")?;
     let station = Station::new(&fleet, options.table, settings());
     let lines = lines(&station);
     station.connect_all();
-    let ended = run(clients, lines, options, shutdown).await;
+    let (taken, fleets) = mpsc::channel(1);
+    let changes = Changes {
+        station: station.clone(),
+        fleets,
+    };
+    let ends = async {
+        tokio::select! {
+            () = shutdown => {}
+            () = follow(&args.fleet, hangup, taken) => {}
+        }
+    };
+    let ended = run(clients, lines, options, Some(changes), ends).await;
     let left = station.halt().await;
     station.close().await;
     if !left.is_empty() {
         tracing::error!(units = ?left, "these robots may be moving: they were not told to stand in time");
     }
     ended.context("the gateway ended")
+}
+
+/// Reads the fleet's file again at each SIGHUP; done when that came as the program's terminal is gone.
+async fn follow(path: &Path, mut hangup: Signal, taken: mpsc::Sender<Fleet>) {
+    let had_terminal = std::io::stderr().is_terminal();
+    while hangup.recv().await.is_some() {
+        if had_terminal && !std::io::stderr().is_terminal() {
+            return;
+        }
+        tracing::info!("SIGHUP: reading the fleet's file again");
+        let fleet = read(path)
+            .and_then(|text| Fleet::parse(&text).map_err(|error| anyhow!("{}:{error}", path.display())));
+        match fleet {
+            Ok(fleet) => {
+                // It is gone when the program ends.
+                let _ = taken.send(fleet).await;
+            }
+            Err(error) => tracing::error!("{error:#}; the fleet stays as it was"),
+        }
+    }
+    std::future::pending::<()>().await;
 }
 
 fn options(args: &GatewayArgs) -> anyhow::Result<GatewayOptions> {
@@ -91,6 +128,6 @@ fn options(args: &GatewayArgs) -> anyhow::Result<GatewayOptions> {
     Ok(options)
 }
 
-fn read(path: &std::path::Path) -> anyhow::Result<String> {
+fn read(path: &Path) -> anyhow::Result<String> {
     std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
 }

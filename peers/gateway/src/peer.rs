@@ -1,28 +1,26 @@
 //! The gateway as a peer: each robot's contexts, and the robot between its channel and its wire.
 
 use std::future::Future;
-use std::pin::pin;
 use std::sync::Arc;
-use std::sync::atomic::AtomicUsize;
-use std::time::SystemTime;
+use std::time::Duration;
 
 use mom_brs::Frame;
 use mom_brs::Table;
 use mom_brs::file::EXTENDED;
 use mom_client::{Channel, Client, ClientError, Code, Path};
-use mom_device::DeviceTime;
 use mom_fleet::{ensure_session, enter, enter_status, stay};
-use tokio::sync::watch;
 use tokio::task::JoinSet;
-use tokio::time::Instant;
+use tokio::time::timeout;
 
-use crate::Unit;
-use crate::robot::Robot;
+use crate::crew::{Changes, Crew};
 use crate::station::Heard;
 
 /// Robots of one connection. Each of them has its peer join a session, a token and a channel, and a peer joins 1024 contexts, unless
 /// the hub's file says otherwise.
-const ROBOTS_PER_CONNECTION: usize = 256;
+pub(crate) const ROBOTS_PER_CONNECTION: usize = 256;
+/// So long a hub may take to let a robot leave.
+const LEAVING: Duration = Duration::from_secs(1);
+
 /// How many connections to the hub so many robots need.
 #[must_use]
 pub fn connections(robots: usize) -> usize {
@@ -112,7 +110,7 @@ pub struct RobotWire {
 ///
 /// What is missing of their contexts is made first. There are as many clients as [`connections`] says; they share the robots. A robot
 /// whose channel is gone, as it was deleted or the hub began anew, stands until that is back, and the others go on; the gateway makes it
-/// if it can.
+/// if it can. What comes of `changes` is taken over meanwhile.
 ///
 /// # Errors
 ///
@@ -121,6 +119,7 @@ pub async fn run(
     clients: Vec<Client>,
     lines: Vec<RobotWire>,
     options: GatewayOptions,
+    changes: Option<Changes>,
     shutdown: impl Future<Output = ()>,
 ) -> Result<(), ClientError> {
     let Some(first) = clients.first() else {
@@ -144,21 +143,12 @@ pub async fn run(
             drop,
         ));
     }
-    let (stop, stopping) = watch::channel(false);
-    let mut robots = JoinSet::new();
-    let (begin, epoch) = (Instant::now(), time_of_day());
-    let missing = Arc::new(AtomicUsize::new(lines.len()));
+    let mut crew = Crew::new(clients.clone(), Arc::clone(&options), lines.len());
     let share = lines.len().div_ceil(clients.len()).max(1);
     let mut entered = Ok(());
     for (line, number) in lines.into_iter().zip(0..) {
-        let Some(client) = clients.get(number / share) else {
+        let Some(place) = crew.place(&line, number / share) else {
             continue;
-        };
-        let place = RobotSite {
-            client: client.clone(),
-            options: Arc::clone(&options),
-            unit: line.unit,
-            group: line.group.clone(),
         };
         let channel = match place.enter().await {
             Ok(channel) => Some(channel),
@@ -169,19 +159,16 @@ pub async fn run(
                 break;
             }
         };
-        let unit = Unit::new(line.unit, options.table).with_epoch(epoch);
-        let robot = Robot::new(place, line, unit, begin, Arc::clone(&missing));
-        robots.spawn(robot.live(channel, stopping.clone()));
+        crew.live(place, line, number / share, channel);
     }
     let result = match entered {
         Ok(()) => {
-            tracing::info!(peer = first.name(), connections = clients.len(), robots = robots.len(), session = %options.session, "the gateway is ready");
-            serve(&mut robots, shutdown).await
+            tracing::info!(peer = first.name(), connections = clients.len(), robots = crew.len(), session = %options.session, "the gateway is ready");
+            crew.serve(changes, shutdown).await
         }
         Err(error) => Err(error),
     };
-    let _ = stop.send(true);
-    while robots.join_next().await.is_some() {}
+    crew.end().await;
     drop(statuses);
     for client in clients {
         client.close().await;
@@ -189,33 +176,11 @@ pub async fn run(
     result
 }
 
-/// Waits until `shutdown` is done, or no robot is left: each ends when its connection to the hub is closed for good.
-async fn serve(
-    robots: &mut JoinSet<Result<(), ClientError>>,
-    shutdown: impl Future<Output = ()>,
-) -> Result<(), ClientError> {
-    let mut shutdown = pin!(shutdown);
-    let mut result = Ok(());
-    loop {
-        tokio::select! {
-            () = &mut shutdown => return result,
-            ended = robots.join_next(), if !robots.is_empty() => match ended {
-                Some(Ok(Err(error))) => result = Err(error),
-                Some(Err(error)) => tracing::error!(%error, "a robot's task has failed"),
-                Some(Ok(Ok(()))) | None => {}
-            },
-        }
-        if robots.is_empty() && result.is_err() {
-            return result;
-        }
-    }
-}
-
 /// Where a robot is at the hub.
 #[derive(Debug, Clone)]
 pub(crate) struct RobotSite {
     pub(crate) client: Client,
-    options: Arc<GatewayOptions>,
+    pub(crate) options: Arc<GatewayOptions>,
     pub(crate) unit: u32,
     pub(crate) group: Option<String>,
 }
@@ -238,17 +203,19 @@ impl RobotSite {
         enter(client, &path, &token, options.manager.as_deref()).await
     }
 
+    /// Leaves the robot's contexts; a hub that does not answer is not waited for long.
+    pub(crate) async fn leave(&self) {
+        let path = format!("{}/{}", self.options.session, self.unit);
+        let leaving = async { self.client.session(&path).await?.leave().await };
+        match timeout(LEAVING, leaving).await {
+            Ok(Ok(())) => {}
+            Ok(Err(error)) => tracing::warn!(unit = self.unit, %error, "the robot's contexts were not left"),
+            Err(_) => tracing::warn!(unit = self.unit, "the robot's contexts were not left in time"),
+        }
+    }
+
     /// The channel of all states; none if the session's path is none.
     pub(crate) fn status(&self) -> Option<Path> {
         Path::parse(&self.options.status()).ok()
     }
-}
-
-/// µs since 1970.
-fn time_of_day() -> DeviceTime {
-    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
-    since
-        .ok()
-        .and_then(|since| DeviceTime::try_from(since.as_micros()).ok())
-        .unwrap_or(0)
 }

@@ -13,7 +13,7 @@ use mom_device::{
 use mom_fleet::{StatusTeller, come_back};
 use tokio::sync::{Notify, watch};
 use tokio::task::yield_now;
-use tokio::time::{Instant, sleep, sleep_until};
+use tokio::time::{Instant, sleep, sleep_until, timeout};
 
 use crate::Unit;
 use crate::peer::{News, RobotSite, RobotWire};
@@ -33,6 +33,15 @@ pub(crate) struct Robot {
     begin: Instant,
     /// How many have never been there, until this one is.
     missing: Option<Arc<AtomicUsize>>,
+}
+
+/// Why a robot is left for good.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Leaving {
+    /// The program ends.
+    Program,
+    /// The fleet's file does not have it any more as it was, in these words.
+    Fleet(&'static str),
 }
 
 /// Why it obeys no more.
@@ -68,11 +77,15 @@ impl Robot {
         }
     }
 
+    pub(crate) fn unit(&self) -> u32 {
+        self.line.unit
+    }
+
     /// Obeys in its channel, and stands while there is none; until the program stops, or the hub does not want its gateway any more.
     pub(crate) async fn live(
         mut self,
         mut channel: Option<Channel>,
-        mut stopping: watch::Receiver<bool>,
+        mut stopping: watch::Receiver<Option<Leaving>>,
     ) -> Result<(), ClientError> {
         loop {
             let mut ended = match &channel {
@@ -102,13 +115,19 @@ impl Robot {
             }
             if channel.is_none() || matches!(ended, Ended::Shutdown | Ended::Unwired) {
                 self.stand().await;
+                if matches!(*stopping.borrow(), Some(Leaving::Fleet(_))) {
+                    self.place.leave().await;
+                    if let Some(missing) = self.missing.take() {
+                        missing.fetch_sub(1, Ordering::Relaxed);
+                    }
+                }
                 return Ok(());
             }
         }
     }
 
     /// Has it obey in its channel; afterwards it was told to stand.
-    async fn obey(&mut self, channel: &Channel, stopping: &mut watch::Receiver<bool>) -> Ended {
+    async fn obey(&mut self, channel: &Channel, stopping: &mut watch::Receiver<Option<Leaving>>) -> Ended {
         let client = self.place.client.clone();
         let mut device = DevicePeer::start(&client, channel, self.unit.clone(), self.begin);
         // A hub that takes nothing holds up neither stops nor replies.
@@ -127,7 +146,7 @@ impl Robot {
             outlet.push(&mut out);
             tokio::select! {
                 biased;
-                _ = stopping.wait_for(|stop| *stop) => break Ended::Shutdown,
+                _ = stopping.wait_for(Option::is_some) => break Ended::Shutdown,
                 more = device.step() => if !more { break Ended::Gone },
                 () = &mut adrift, if device.is_down() => break Ended::Adrift,
                 news = self.line.heard.next() => match news {
@@ -148,15 +167,48 @@ impl Robot {
         let why = match ended {
             Ended::Gone => "its channel is gone",
             Ended::Adrift => "its gateway has lost the hub",
-            Ended::Shutdown | Ended::Unwired => "its gateway ends",
+            Ended::Shutdown | Ended::Unwired => match *stopping.borrow() {
+                Some(Leaving::Fleet(why)) => why,
+                _ => "its gateway ends",
+            },
         };
         device.halt(why);
         self.send(&mut device);
         self.unit = device.machine().clone();
         if matches!(ended, Ended::Shutdown | Ended::Unwired) {
+            if matches!(*stopping.borrow(), Some(Leaving::Fleet(_))) {
+                self.stand().await;
+                self.tell_left(&mut device, channel, why).await;
+            }
             device.end(why).await;
         }
         ended
+    }
+
+    /// Tells in its channel and in the fleet's that it is left, and why: nobody knows from then on what it does.
+    async fn tell_left(&mut self, device: &mut DevicePeer<Unit>, channel: &Channel, why: &str) {
+        device.note(|unit| {
+            unit.lost(why);
+            unit.unreached(why);
+        });
+        device.report();
+        let mut outlet = Outlet::new(sender(&self.place.client));
+        let mut out = Vec::new();
+        loop {
+            let due = self.tell(device, channel, &mut out);
+            match (out.is_empty(), due) {
+                // It was told of often just now.
+                (true, Some(due)) => sleep_until(due).await,
+                _ => break,
+            }
+        }
+        outlet.push(&mut out);
+        if timeout(LAST_STOP, outlet.flush()).await.is_err() {
+            tracing::warn!(
+                unit = self.line.unit,
+                "it was not told in time that the robot is left"
+            );
+        }
     }
 
     /// Keeps the robot standing until it has a place in its channel; none if the program stops before. Where another device has that, or
@@ -164,7 +216,7 @@ impl Robot {
     async fn wait_for_channel(
         &mut self,
         is_adrift: bool,
-        stopping: &mut watch::Receiver<bool>,
+        stopping: &mut watch::Receiver<Option<Leaving>>,
     ) -> Result<Option<Channel>, ClientError> {
         let (place, occupied) = (self.place.clone(), Notify::new());
         let mut adrift = pin!(adrift(place.client.state()));
@@ -188,7 +240,7 @@ impl Robot {
             }
             tokio::select! {
                 biased;
-                _ = stopping.wait_for(|stop| *stop) => return Ok(None),
+                _ = stopping.wait_for(Option::is_some) => return Ok(None),
                 () = occupied.notified(), if !is_left => leaves = true,
                 () = &mut adrift, if !is_left => leaves = true,
                 wired = self.serve_wire() => if !wired { return Ok(None) },

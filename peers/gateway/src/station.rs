@@ -29,40 +29,45 @@ pub fn settings() -> Settings {
 /// The wires to all robots of a base station. Whoever calls this before [`Station::connect_all`] misses nothing.
 #[must_use]
 pub fn lines(station: &Station) -> Vec<RobotWire> {
-    let mut lines = Vec::new();
-    for snapshot in station.snapshot() {
-        let unit = snapshot.robot.unit;
-        // Before its state is read, so that no change is missed.
-        let (Ok(entries), Ok(now)) = (station.subscribe_to(unit), station.watch(unit)) else {
-            continue;
-        };
-        let is_up = now.borrow().state == State::Writable;
-        let (station, other, third) = (station.clone(), station.clone(), station.clone());
-        lines.push(RobotWire {
-            unit,
-            group: snapshot.robot.group.clone(),
-            heard: Heard::new(entries, is_up),
-            send: Box::new(move |frame| {
-                let taken = station.send(unit, frame).map_err(|error| error.to_string())?;
-                // A stop is there to override what waits, and is said again.
-                if let (Taken::Replaced(dropped), false) = (taken, is_stop(&frame)) {
-                    tracing::warn!(unit, dropped, %frame, "commands that waited for the robot are not sent: this one overrides them");
-                }
-                Ok(())
-            }),
-            give_up: Box::new(move || {
-                // It is one of them.
-                let _ = other.give_up(unit);
-            }),
-            connect: Box::new(move |connects| {
-                let _ = match connects {
-                    true => third.connect(unit),
-                    false => third.disconnect(unit),
-                };
-            }),
-        });
-    }
-    lines
+    let robots = station.snapshot();
+    robots
+        .iter()
+        .filter_map(|known| line(station, &known.robot))
+        .collect()
+}
+
+/// The wire to one robot; none if the base station does not have it.
+pub(crate) fn line(station: &Station, robot: &mom_base_station::fleet::Robot) -> Option<RobotWire> {
+    let unit = robot.unit;
+    // Before its state is read, so that no change is missed.
+    let (Ok(entries), Ok(now)) = (station.subscribe_to(unit), station.watch(unit)) else {
+        return None;
+    };
+    let is_up = now.borrow().state == State::Writable;
+    let (station, other, third) = (station.clone(), station.clone(), station.clone());
+    Some(RobotWire {
+        unit,
+        group: robot.group.clone(),
+        heard: Heard::new(entries, is_up),
+        send: Box::new(move |frame| {
+            let taken = station.send(unit, frame).map_err(|error| error.to_string())?;
+            // A stop is there to override what waits, and is said again.
+            if let (Taken::Replaced(dropped), false) = (taken, is_stop(&frame)) {
+                tracing::warn!(unit, dropped, %frame, "commands that waited for the robot are not sent: this one overrides them");
+            }
+            Ok(())
+        }),
+        give_up: Box::new(move || {
+            // It is one of them.
+            let _ = other.give_up(unit);
+        }),
+        connect: Box::new(move |connects| {
+            let _ = match connects {
+                true => third.connect(unit),
+                false => third.disconnect(unit),
+            };
+        }),
+    })
 }
 
 /// Whether a frame has a robot stand.

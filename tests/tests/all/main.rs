@@ -22,6 +22,7 @@ mod endurance;
 mod faults;
 mod first_hour;
 mod fleet;
+mod fleet_file;
 mod fleet_web;
 mod gateways;
 mod guards;

@@ -67,7 +67,7 @@ pub(super) async fn start(
         ..GatewayOptions::default()
     };
     let last = options.channel(robots.into());
-    let running = mom_gateway::run(gateway.clone(), lines, options, stopped(stopping));
+    let running = mom_gateway::run(gateway.clone(), lines, options, None, stopped(stopping));
     devices.spawn(async move {
         let ended = running.await;
         station.halt().await;

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use mom_brs::{Frame, Table};
-use parking_lot::Mutex;
+use parking_lot::{Mutex, RwLock};
 use tokio::sync::{broadcast, watch};
 use tokio::task::JoinSet;
 use tokio::time::timeout;
@@ -96,7 +96,11 @@ pub struct Station {
 #[derive(Debug)]
 struct Inner {
     shared: Arc<Shared>,
-    seats: BTreeMap<Unit, Arc<Seat>>,
+    /// The commands that robots know, how circuits behave, and what their pauses are drawn from: for robots that come later.
+    table: &'static Table,
+    circuit: Options,
+    seed: u64,
+    seats: RwLock<BTreeMap<Unit, Arc<Seat>>>,
     /// Dropping them ends them.
     tasks: Mutex<JoinSet<()>>,
 }
@@ -121,31 +125,67 @@ impl Station {
             log: Mutex::new(settings.log),
             closing: AtomicBool::new(false),
         });
-        let mut seats = BTreeMap::new();
-        let mut tasks = JoinSet::new();
+        let station = Station {
+            inner: Arc::new(Inner {
+                shared,
+                table,
+                circuit: settings.circuit,
+                seed: settings.seed,
+                seats: RwLock::new(BTreeMap::new()),
+                tasks: Mutex::new(JoinSet::new()),
+            }),
+        };
         for robot in fleet.robots() {
-            let seed = settings.seed ^ u64::from(robot.unit);
-            let circuit = Circuit::new(table, settings.circuit, seed);
-            let seat = Arc::new(Seat::new(robot.clone(), circuit));
-            seats.insert(robot.unit, Arc::clone(&seat));
-            tasks.spawn(robot::drive(Arc::clone(&shared), seat));
+            station.add(robot);
         }
-        let tasks = Mutex::new(tasks);
-        Station {
-            inner: Arc::new(Inner { shared, seats, tasks }),
+        station
+    }
+
+    /// Takes one robot more, which is not connected. The others are not touched. Nothing is done where there is such a unit, which
+    /// [`remove`](Station::remove) takes out before; false then.
+    pub fn add(&self, robot: &Robot) -> bool {
+        let inner = &self.inner;
+        let mut seats = inner.seats.write();
+        if seats.contains_key(&robot.unit) {
+            return false;
         }
+        let seed = inner.seed ^ u64::from(robot.unit);
+        let circuit = Circuit::new(inner.table, inner.circuit, seed);
+        let seat = Arc::new(Seat::new(robot.clone(), circuit));
+        seats.insert(robot.unit, Arc::clone(&seat));
+        let mut tasks = inner.tasks.lock();
+        // Those of robots that were taken out.
+        while tasks.try_join_next().is_some() {}
+        tasks.spawn(robot::drive(Arc::clone(&inner.shared), seat));
+        true
+    }
+
+    /// Takes a robot out: stops its motors, if it may be in motion, and ends its connection; it waits for both, a second at most each.
+    /// The others are not touched. False if it may be in motion: the stop was not written.
+    ///
+    /// # Errors
+    ///
+    /// There is no such unit.
+    pub async fn remove(&self, unit: Unit) -> Result<bool, SendError> {
+        let taken = self.inner.seats.write().remove(&unit);
+        let seat = taken.ok_or(SendError::NoUnit(unit))?;
+        let stands = !seat.halt() || timeout(PATIENCE, seat.halted()).await.unwrap_or(false);
+        seat.leave(&self.inner.shared);
+        // It ends by itself all the same.
+        let _ = timeout(PATIENCE, seat.left()).await;
+        Ok(stands)
     }
 
     /// Tries all (W14), and keeps trying.
     pub fn connect_all(&self) {
-        for seat in self.inner.seats.values() {
+        for seat in self.inner.seats.read().values() {
             seat.take(&self.inner.shared, Input::Connect);
         }
     }
 
     /// Ends all connections.
     pub fn disconnect_all(&self) {
-        for seat in self.inner.seats.values() {
+        for seat in self.inner.seats.read().values() {
             seat.take(&self.inner.shared, Input::Disconnect);
         }
     }
@@ -232,7 +272,12 @@ impl Station {
     /// What is known of all robots, by unit number.
     #[must_use]
     pub fn snapshot(&self) -> Vec<Snapshot> {
-        self.inner.seats.values().map(|seat| seat.snapshot()).collect()
+        self.inner
+            .seats
+            .read()
+            .values()
+            .map(|seat| seat.snapshot())
+            .collect()
     }
 
     /// Reads the log.
@@ -257,7 +302,14 @@ impl Station {
     /// Stops the motors of all robots that the base station has set in motion, or for which commands wait, and drops what
     /// waits. It waits until that is written, a second at most; the units of which it is not known.
     pub async fn halt(&self) -> Vec<Unit> {
-        let moving: Vec<&Arc<Seat>> = self.inner.seats.values().filter(|seat| seat.halt()).collect();
+        let moving: Vec<Arc<Seat>> = self
+            .inner
+            .seats
+            .read()
+            .values()
+            .filter(|seat| seat.halt())
+            .cloned()
+            .collect();
         let mut left = Vec::new();
         let until = tokio::time::Instant::now() + PATIENCE;
         for seat in moving {
@@ -277,7 +329,7 @@ impl Station {
         // Before: a task that wakes by itself and sees `closing` ends, and may not have been told to part from its robot.
         self.disconnect_all();
         self.inner.shared.closing.store(true, Ordering::Release);
-        for seat in self.inner.seats.values() {
+        for seat in self.inner.seats.read().values() {
             seat.wake();
         }
         let mut tasks = std::mem::take(&mut *self.inner.tasks.lock());
@@ -287,7 +339,12 @@ impl Station {
         }
     }
 
-    fn seat(&self, unit: Unit) -> Result<&Arc<Seat>, SendError> {
-        self.inner.seats.get(&unit).ok_or(SendError::NoUnit(unit))
+    fn seat(&self, unit: Unit) -> Result<Arc<Seat>, SendError> {
+        self.inner
+            .seats
+            .read()
+            .get(&unit)
+            .cloned()
+            .ok_or(SendError::NoUnit(unit))
     }
 }

@@ -4,7 +4,7 @@ use std::future::{Future, pending};
 use std::io;
 use std::pin::{Pin, pin};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use mom_brs::Frame;
@@ -42,6 +42,9 @@ pub(super) struct Seat {
     /// Wakes who waits for the task to have done something.
     done: Notify,
     snapshot: watch::Sender<Snapshot>,
+    /// Whether the robot is taken out, and whether its task has ended.
+    leaving: AtomicBool,
+    ended: AtomicBool,
     /// What happens with this robot.
     changes: broadcast::Sender<Entry>,
 }
@@ -57,8 +60,24 @@ impl Seat {
             wake: Notify::new(),
             done: Notify::new(),
             snapshot,
+            leaving: AtomicBool::new(false),
+            ended: AtomicBool::new(false),
             changes,
         }
+    }
+
+    /// Parts from the robot, and ends its task.
+    pub(super) fn leave(&self, shared: &Shared) {
+        // Before: a task that wakes by itself and sees `leaving` ends.
+        self.take(shared, Input::Disconnect);
+        self.leaving.store(true, Ordering::Release);
+        self.wake();
+    }
+
+    /// Waits until its task has ended.
+    pub(super) async fn left(&self) {
+        self.until(|| self.ended.load(Ordering::Acquire).then_some(()))
+            .await;
     }
 
     pub(super) fn subscribe(&self) -> broadcast::Receiver<Entry> {
@@ -198,7 +217,9 @@ pub(super) async fn drive(shared: Arc<Shared>, seat: Arc<Seat>) {
                 }
             }
         }
-        if shared.closing.load(Ordering::Acquire) {
+        if shared.closing.load(Ordering::Acquire) || seat.leaving.load(Ordering::Acquire) {
+            seat.ended.store(true, Ordering::Release);
+            seat.done.notify_waiters();
             return;
         }
         let (wake, may_read) = {
@@ -438,7 +459,7 @@ mod tests {
         // To close gets no further than to this one, whose circuit is taken. It has no task that would wait for it.
         let second = Arc::new(seat(robot(2, one.1)));
         let inner = Arc::get_mut(&mut station.inner).unwrap();
-        inner.seats.insert(2, Arc::clone(&second));
+        inner.seats.get_mut().insert(2, Arc::clone(&second));
         station.connect(1).unwrap();
         station.connect(3).unwrap();
         let (mut first, _) = one.0.accept().await.unwrap();

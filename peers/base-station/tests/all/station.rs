@@ -411,3 +411,46 @@ async fn two_hundred_robots_are_connected_by_one_station() {
     );
     robots.abort();
 }
+
+/// What a robot heard until that happened, without NULLs.
+async fn heard(robot: &mut Robot, end: &str) -> Vec<String> {
+    let mut heard = Vec::new();
+    loop {
+        match robot.line().await.as_str() {
+            line if line == end => return heard,
+            "got 00" => {}
+            other => heard.push(other.to_owned()),
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_robot_is_taken_out_and_another_takes_its_unit_while_the_others_drive() {
+    let (mut one, mut two) = (Robot::start().await, Robot::start().await);
+    let mut three = Robot::start().await;
+    let station = station(&[one.port, two.port], Options::default());
+    station.connect_all();
+    for (unit, robot) in [(1, &mut one), (2, &mut two)] {
+        writable(&station, unit).await;
+        station.send(unit, motor(7, 7)).unwrap();
+        assert_eq!(heard(robot, "got 06 00007 00007").await, ["connected"]);
+    }
+    assert!(station.remove(1).await.unwrap(), "its stop was written");
+    assert_eq!(heard(&mut one, "closed").await, ["got 06 00000 00000"]);
+    assert_eq!(station.remove(1).await, Err(SendError::NoUnit(1)));
+    assert_eq!(station.connect(1), Err(SendError::NoUnit(1)));
+    // Another robot under its unit; there is one robot of each.
+    let other = Fleet::parse(&fleet(&[three.port])).unwrap();
+    let [robot] = other.robots() else {
+        panic!("one robot")
+    };
+    assert!(station.add(robot));
+    assert!(!station.add(robot));
+    station.connect(1).unwrap();
+    writable(&station, 1).await;
+    station.send(1, motor(9, 9)).unwrap();
+    assert_eq!(three.command().await, "06 00009 00009");
+    // The other one drove all the time, on the same connection.
+    station.send(2, motor(8, 8)).unwrap();
+    assert_eq!(heard(&mut two, "got 06 00008 00008").await, [""; 0]);
+}
