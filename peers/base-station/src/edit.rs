@@ -179,12 +179,57 @@ fn remove(robots: &mut ArrayOfTables, place: usize) -> String {
     }
 }
 
+/// Why a file was not changed.
+#[derive(Debug, thiserror::Error)]
+pub enum ChangeError {
+    /// The system says so.
+    #[error("{0}: {1}")]
+    File(String, io::Error),
+    /// The edit cannot be.
+    #[error(transparent)]
+    Edit(EditError),
+}
+
+/// Changes a fleet's file, and gives the fleet as it is then. Who changes it at the same time does so before or afterwards.
+///
+/// # Errors
+///
+/// A file that cannot be read, locked or written; a file that is wrong, or would be.
+pub fn change(path: &Path, edit: &Edit) -> Result<Fleet, ChangeError> {
+    /// More than the longest file that says anything.
+    const MOST: u64 = 16 << 20;
+    let failed = |what: &str| {
+        let text = format!("cannot {what} {}", path.display());
+        move |error| ChangeError::File(text, error)
+    };
+    // The file itself is replaced, so its folder is locked.
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let lock = fs::File::open(folder.unwrap_or(Path::new(".")));
+    let lock = lock.and_then(|folder| folder.lock().map(|()| folder));
+    let _lock = lock.map_err(failed("lock the folder of"))?;
+    let text = match edit {
+        Edit::Add(_) if !path.exists() => String::new(),
+        _ => {
+            let length = fs::metadata(path).map_err(failed("read"))?.len();
+            if length > MOST {
+                let error = io::Error::new(io::ErrorKind::FileTooLarge, format!("it has {length} bytes"));
+                return Err(failed("read")(error));
+            }
+            fs::read_to_string(path).map_err(failed("read"))?
+        }
+    };
+    let text = edit.apply(&text).map_err(ChangeError::Edit)?;
+    let fleet = Fleet::parse(&text).map_err(|error| ChangeError::Edit(EditError::After(error)))?;
+    replace(path, &text).map_err(failed("write"))?;
+    Ok(fleet)
+}
+
 /// Writes a file whole or not at all; who may read it stays, and where a link leads.
 ///
 /// # Errors
 ///
 /// What the system says.
-pub fn replace(path: &Path, text: &str) -> io::Result<()> {
+fn replace(path: &Path, text: &str) -> io::Result<()> {
     let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let folder = target.parent().filter(|folder| !folder.as_os_str().is_empty());
     let folder = folder.unwrap_or(Path::new("."));

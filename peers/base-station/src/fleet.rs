@@ -177,6 +177,12 @@ impl FleetError {
         self.fault
     }
 
+    /// What is wrong, without its place.
+    #[must_use]
+    pub fn words(&self) -> &str {
+        &self.text
+    }
+
     /// Where it is.
     #[must_use]
     pub const fn spot(&self) -> Spot {

@@ -16,6 +16,7 @@ use tokio::task::{JoinError, JoinSet};
 use tokio::time::Instant;
 
 use crate::Unit;
+use crate::editor::FleetFile;
 use crate::peer::{GatewayOptions, ROBOTS_PER_CONNECTION, RobotSite, RobotWire};
 use crate::robot::{Leaving, Robot};
 use crate::station::line;
@@ -27,6 +28,10 @@ pub struct Changes {
     pub station: Station,
     /// Each is a whole fleet.
     pub fleets: mpsc::Receiver<Fleet>,
+    /// The fleet that is driven.
+    pub present: watch::Sender<Fleet>,
+    /// Where it is kept, if people at the hub may edit it.
+    pub file: Option<FleetFile>,
 }
 
 /// A robot that lives.
@@ -130,7 +135,13 @@ impl Crew {
                         self.ended(ended, &mut result);
                     }
                 }
-                Some((fleet, station)) = changed => self.take_over(&fleet, &station, &mut result).await,
+                Some((fleet, station)) = changed => {
+                    if self.take_over(&fleet, &station, &mut result).await
+                        && let Some(changes) = &changes
+                    {
+                        changes.present.send_replace(fleet);
+                    }
+                }
             }
             if self.tasks.is_empty() && result.is_err() {
                 return result;
@@ -164,7 +175,13 @@ impl Crew {
 
     /// Leaves the robots that the fleet does not have any more, or at another address or in another group, and takes those that it has
     /// now. The others are not touched.
-    async fn take_over(&mut self, fleet: &Fleet, station: &Station, result: &mut Result<(), ClientError>) {
+    /// False if it carries no fleet of that size, and all stays as it was.
+    async fn take_over(
+        &mut self,
+        fleet: &Fleet,
+        station: &Station,
+        result: &mut Result<(), ClientError>,
+    ) -> bool {
         let most = self.clients.len() * ROBOTS_PER_CONNECTION;
         if fleet.robots().len() > most {
             let robots = fleet.robots().len();
@@ -173,7 +190,7 @@ impl Crew {
                 most,
                 "the fleet's file is not taken over: it has more robots than this gateway's connections carry; start it again"
             );
-            return;
+            return false;
         }
         let known: BTreeMap<u32, Arc<Entry>> = station
             .snapshot()
@@ -226,6 +243,7 @@ impl Crew {
         }
         let (left, come, robots) = (left.len(), come.len(), self.len());
         tracing::info!(left, come, robots, "the fleet's file is taken over");
+        true
     }
 
     /// Takes a robot in, through the client that has the fewest.

@@ -5,6 +5,7 @@
 //! it to the hub.
 
 mod crew;
+mod editor;
 mod peer;
 mod robot;
 mod station;
@@ -12,6 +13,7 @@ mod unit;
 pub mod verb;
 
 pub use crew::Changes;
+pub use editor::FleetFile;
 pub use peer::{GatewayOptions, RobotWire, connections, run};
 pub use station::{lines, settings};
 pub use unit::Unit;

@@ -9,10 +9,10 @@ use clap::Parser;
 use mom_base_station::fleet::Fleet;
 use mom_base_station::station::Station;
 use mom_brs::file;
-use mom_gateway::{Changes, GatewayOptions, connections, lines, run, settings};
+use mom_gateway::{Changes, FleetFile, GatewayOptions, connections, lines, run, settings};
 use mom_program::{HubArgs, begin, shutdown};
 use tokio::signal::unix::{Signal, SignalKind, signal};
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 
 /// A thousand robots are a lot of small pieces of memory.
 #[global_allocator]
@@ -78,6 +78,11 @@ async fn main() -> anyhow::Result<()> {
     let changes = Changes {
         station: station.clone(),
         fleets,
+        present: watch::channel(fleet).0,
+        file: Some(FleetFile {
+            path: args.fleet.clone(),
+            taken: taken.clone(),
+        }),
     };
     let ends = async {
         tokio::select! {

@@ -13,6 +13,7 @@ use tokio::task::JoinSet;
 use tokio::time::timeout;
 
 use crate::crew::{Changes, Crew};
+use crate::editor::Editor;
 use crate::station::Heard;
 
 /// Robots of one connection. Each of them has its peer join a session, a token and a channel, and a peer joins 1024 contexts, unless
@@ -68,6 +69,12 @@ impl GatewayOptions {
             (None, Some(group)) => format!("{}/{group}/token", self.session),
             (None, None) => format!("{}/{unit}/token", self.session),
         }
+    }
+
+    /// The channel in which people see and edit the fleet's file, where the hub has it.
+    #[must_use]
+    pub fn file(&self) -> String {
+        format!("{}/file", self.session)
     }
 
     /// The channel in which every robot's newest state is.
@@ -142,6 +149,19 @@ pub async fn run(
             },
             drop,
         ));
+    }
+    let mut changes = changes;
+    if let Some(changes) = &mut changes
+        && let Some(file) = changes.file.take()
+    {
+        let editor = Editor {
+            client: first.clone(),
+            options: Arc::clone(&options),
+            file,
+            present: changes.present.subscribe(),
+            most: clients.len() * ROBOTS_PER_CONNECTION,
+        };
+        statuses.spawn(editor.serve());
     }
     let mut crew = Crew::new(clients.clone(), Arc::clone(&options), lines.len());
     let share = lines.len().div_ceil(clients.len()).max(1);

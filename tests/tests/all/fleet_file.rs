@@ -5,8 +5,10 @@ use std::process::Stdio;
 use std::thread::JoinHandle;
 use std::time::Instant;
 
+use mom_client::{Channel, Client, Code, Event, Events, Family, Map, Parcel, Path, Value};
 use mom_tests::programs::{PATIENCE, Running, project, run, text};
 use serde_json::Value as Json;
+use tokio::time::timeout;
 
 /// The row of a robot in `mom fleet list`, once it is as asked for.
 fn row(hub: &str, unit: i64, is: impl Fn(&Json) -> bool) -> Json {
@@ -140,4 +142,288 @@ fn a_changed_file_is_taken_over_while_the_other_robots_drive() {
     row(&hub, 5, |row| row["linked"] == true);
     gateway.signal("TERM");
     assert!(gateway.wait().success());
+}
+
+/// The next message of this name, and what it says.
+async fn told(events: &mut Events, name: &str, is: impl Fn(&Value) -> bool) -> Value {
+    let wanted = async {
+        loop {
+            match events.next().await.expect("the channel stays") {
+                Event::Message(parcel) if parcel.name() == name && is(&parcel.value()) => {
+                    return parcel.value();
+                }
+                _ => {}
+            }
+        }
+    };
+    timeout(PATIENCE, wanted)
+        .await
+        .unwrap_or_else(|_| panic!("{name} does not come"))
+}
+
+fn entry(unit: i64, address: &str) -> Map {
+    Map::new().with("unit", unit).with("address", address)
+}
+
+/// The addresses that the gateway tells, by unit number.
+fn addresses(robots: &Value) -> Vec<(i64, String)> {
+    let robots = robots.get("robots").and_then(Value::as_list).expect("a list");
+    let of = |robot: &Value| {
+        let unit = robot.get("unit").and_then(Value::as_int).expect("a number");
+        (
+            unit,
+            robot
+                .get("address")
+                .and_then(Value::as_str)
+                .expect("an address")
+                .to_owned(),
+        )
+    };
+    robots.iter().map(of).collect()
+}
+
+/// An operator at the hub.
+struct Operator {
+    client: Client,
+    channel: Channel,
+    events: Events,
+}
+
+impl Operator {
+    async fn at(hub: &str) -> Operator {
+        let client = Client::builder(hub)
+            .user("carol")
+            .password("carol")
+            .connect()
+            .await;
+        let client = client.expect("a user of the lab");
+        let channel = client.channel("/fleet/file").await.expect("operators may");
+        let events = channel.events();
+        Operator {
+            client,
+            channel,
+            events,
+        }
+    }
+
+    /// What the gateway answers to an edit.
+    async fn edit(&mut self, edit: Map) -> Value {
+        self.channel.send("edit", edit).await.expect("operators may");
+        told(&mut self.events, "edited", |_| true).await
+    }
+
+    async fn robots(&mut self, count: usize) -> Vec<(i64, String)> {
+        let is = |said: &Value| addresses(said).len() == count;
+        addresses(&told(&mut self.events, "robots", is).await)
+    }
+}
+
+fn word<'a>(said: &'a Value, key: &str) -> Option<&'a str> {
+    said.get(key).and_then(Value::as_str)
+}
+
+/// Robots, their gateway and its hub as programs; the file has the first three robots, with a comment.
+struct FleetLab {
+    folder: tempfile::TempDir,
+    hub: String,
+    /// The addresses of the five robots, by their number less one.
+    at: Vec<String>,
+    gateway: Running,
+    _programs: [Running; 2],
+}
+
+impl FleetLab {
+    fn start() -> FleetLab {
+        let folder = tempfile::tempdir().expect("a folder");
+        let all = folder.path().join("all.toml");
+        let all = all.to_str().expect("text").to_owned();
+        let robots = ["--robots", "5", "--write-fleet", &all, "--listen", "127.0.0.1:0"];
+        let robots = Running::start("mom-linuxbot", &robots, &[]);
+        let tables = tables(&all);
+        let quoted = |table: &String| table.split('"').nth(1).expect("an address").to_owned();
+        let fleet = folder.path().join("fleet.toml");
+        std::fs::write(&fleet, format!("# Ours.\n\n{}", tables[..3].concat())).expect("it is written");
+        let (broker, address) = Running::broker(&project().join("config/fleet.toml"));
+        let hub = format!("bin://{address}");
+        let gateway = Running::start_with(
+            "mom-gateway",
+            &[
+                "--fleet",
+                fleet.to_str().expect("text"),
+                "--hub",
+                &hub,
+                "--manager",
+                "robot-token",
+            ],
+            &[("MOM_PASSWORD", "gateway")],
+            Stdio::from(File::create(folder.path().join("log")).expect("a log")),
+        );
+        logged(&folder.path().join("log"), "all robots are connected");
+        FleetLab {
+            at: tables.iter().map(quoted).collect(),
+            folder,
+            hub,
+            gateway,
+            _programs: [robots, broker],
+        }
+    }
+
+    fn file(&self) -> String {
+        std::fs::read_to_string(self.folder.path().join("fleet.toml")).expect("it is there")
+    }
+}
+
+/// An operator adds, changes and removes robots at the hub (W12, W14): the gateway keeps the file, with its comments, drives what it says, and
+/// answers each mistake with the field at fault.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_operator_edits_the_fleet_at_the_hub() {
+    let lab = FleetLab::start();
+    let hub = lab.hub.as_str();
+    let mut carol = Operator::at(hub).await;
+    assert_eq!(carol.robots(3).await.len(), 3);
+
+    let said = carol
+        .edit(Map::new().with("add", entry(4, &lab.at[3]).with("name", "by the door")))
+        .await;
+    assert_eq!(
+        (said.get("ok"), word(&said, "by")),
+        (Some(&true.into()), Some("carol")),
+        "{said:?}"
+    );
+    assert_eq!(carol.robots(4).await[3], (4, lab.at[3].clone()));
+    row(hub, 4, |row| row["linked"] == true);
+    assert!(
+        lab.file().starts_with("# Ours.\n") && lab.file().contains("name = \"by the door\""),
+        "{}",
+        lab.file()
+    );
+
+    // What would be wrong changes nothing, and says where.
+    let before = lab.file();
+    for (edit, name, field) in [
+        (
+            Map::new().with("add", entry(4, &lab.at[4])),
+            "bad-content",
+            Some("unit"),
+        ),
+        (
+            Map::new().with("add", entry(5, &lab.at[0])),
+            "bad-content",
+            Some("address"),
+        ),
+        (
+            Map::new().with("add", entry(5, "nowhere")),
+            "bad-content",
+            Some("address"),
+        ),
+        (
+            Map::new().with("add", entry(5, &lab.at[4]).with("group", "7")),
+            "bad-content",
+            Some("group"),
+        ),
+        (
+            Map::new().with("add", entry(5, &lab.at[4]).with("key", "x")),
+            "bad-content",
+            None,
+        ),
+        (
+            Map::new().with("remove", 2).with("was", lab.at[0].as_str()),
+            "stale",
+            None,
+        ),
+        (
+            Map::new().with("remove", 9).with("was", lab.at[0].as_str()),
+            "stale",
+            None,
+        ),
+        (Map::new().with("remove", 2), "bad-content", None),
+    ] {
+        let said = carol.edit(edit.clone()).await;
+        assert_eq!(
+            (word(&said, "name"), word(&said, "field")),
+            (Some(name), field),
+            "{edit:?}: {said:?}"
+        );
+        assert_eq!(said.get("ok"), Some(&false.into()));
+    }
+    assert_eq!(lab.file(), before);
+
+    // The third listens elsewhere from now on; the first is removed.
+    let to = entry(3, &lab.at[4]);
+    let said = carol
+        .edit(
+            Map::new()
+                .with("change", 3)
+                .with("was", lab.at[2].as_str())
+                .with("to", to),
+        )
+        .await;
+    assert_eq!(said.get("ok"), Some(&true.into()), "{said:?}");
+    assert_eq!(carol.robots(4).await[2], (3, lab.at[4].clone()));
+    row(hub, 3, |row| row["linked"] == true);
+    let said = carol
+        .edit(Map::new().with("remove", 1).with("was", lab.at[0].as_str()))
+        .await;
+    assert_eq!(said.get("ok"), Some(&true.into()), "{said:?}");
+    let gone = row(hub, 1, |row| row["linked"] == false);
+    assert_eq!(
+        gone["unreached-why"], "it was taken out of the fleet's file",
+        "{gone}"
+    );
+    assert_eq!(
+        addresses(&told(&mut carol.events, "robots", |_| true).await).len(),
+        3
+    );
+    logged(&lab.folder.path().join("log"), "by=\"carol\"");
+    carol.client.close().await;
+    lab.gateway.signal("TERM");
+    assert!(lab.gateway.wait().success());
+}
+
+/// A robot that somebody else holds is left to them; who is no operator neither sees where robots listen nor changes it.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_edit_takes_no_robot_out_of_anybodys_hands() {
+    let lab = FleetLab::start();
+    let mut carol = Operator::at(&lab.hub).await;
+    carol.robots(3).await;
+    let alice = Client::builder(&lab.hub)
+        .user("alice")
+        .password("alice")
+        .connect()
+        .await;
+    let alice = alice.expect("a user of the lab");
+    let token = alice.token("/fleet/1/token").await.expect("anybody may");
+    let guard = token.grab().await.expect("it is free");
+    let remove = || Map::new().with("remove", 1).with("was", lab.at[0].as_str());
+    let elsewhere = Map::new()
+        .with("change", 1)
+        .with("was", lab.at[0].as_str())
+        .with("to", entry(1, &lab.at[4]));
+    for edit in [remove(), elsewhere] {
+        let said = carol.edit(edit).await;
+        assert_eq!(word(&said, "name"), Some("held"), "{said:?}");
+        assert!(
+            word(&said, "text").is_some_and(|text| text.contains("alice holds /fleet/1/token")),
+            "{said:?}"
+        );
+    }
+    assert_eq!(guard.release().await.map_err(|error| error.to_string()), Ok(()));
+    let said = carol.edit(remove()).await;
+    assert_eq!(said.get("ok"), Some(&true.into()), "{said:?}");
+
+    let error = alice
+        .channel("/fleet/file")
+        .await
+        .expect_err("she is no operator");
+    assert_eq!(error.code().map(Code::word), Some("denied"), "{error}");
+    let edit = Parcel::new(Family::Message, "edit")
+        .context(Path::parse("/fleet/file").expect("a path"))
+        .content(Map::new().with("remove", 2).with("was", lab.at[1].as_str()));
+    let mut edit = edit;
+    edit.receipt = Some(true);
+    let refused = alice.request(edit).await;
+    assert!(refused.is_err(), "{refused:?}");
+    assert!(lab.file().contains(&lab.at[1]));
+    alice.close().await;
+    carol.client.close().await;
 }

@@ -135,7 +135,7 @@ const ARROWS: &[(&str, May)] = &[
     ),
     (
         "mom-rehearsal",
-        May::Use(&["mom-arm", "mom-camera", "mom-servo", "mom-vision"]),
+        May::Use(&["mom-arm", "mom-camera", "mom-device", "mom-servo", "mom-vision"]),
     ),
     (
         "mom",

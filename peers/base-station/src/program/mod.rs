@@ -8,13 +8,13 @@ mod tests;
 mod view;
 mod watching;
 
-use std::fs::{self, File};
+use std::fs;
 use std::io::{IsTerminal as _, Write as _, stdout};
 use std::path::Path;
 
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::Parser as _;
-use mom_base_station::edit::{Change, Edit, replace};
+use mom_base_station::edit::{self, Change, ChangeError, Edit};
 use mom_base_station::fleet::{Fleet, Unit};
 use mom_base_station::log::{Log, LogFile};
 use mom_base_station::script::Script;
@@ -98,20 +98,13 @@ fn change(path: &Path, edit: &Edit, done: &str) -> Result<()> {
         !is_nothing,
         "there is nothing to change: say --unit, --address, --name, --no-name, --group or --no-group"
     );
-    // Two that change it at once do so one after the other. The file itself is replaced, so its folder is locked.
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let lock = File::open(folder.unwrap_or(Path::new(".")));
-    let lock = lock.and_then(|folder| folder.lock().map(|()| folder));
-    let _lock = lock.with_context(|| format!("cannot lock the folder of {}", path.display()))?;
-    let text = match edit {
-        Edit::Add(_) if !path.exists() => String::new(),
-        _ => read(path)?,
-    };
-    let text = edit.apply(&text).with_context(name)?;
-    replace(path, &text).with_context(|| format!("cannot write {}", path.display()))?;
+    edit::change(path, edit).map_err(|error| match error {
+        ChangeError::Edit(error) => anyhow::Error::new(error).context(name()),
+        error @ ChangeError::File(..) => error.into(),
+    })?;
     writeln!(
         stdout(),
-        "{done} in {}; a mom-base-station or mom-gateway that runs takes it over when it is started again",
+        "{done} in {}; a mom-gateway that runs takes it over at SIGHUP, a mom-base-station when it is started again",
         path.display()
     )?;
     Ok(())

@@ -1,0 +1,365 @@
+//! The fleet's file in the hands of people at the hub (W12, W14): they see which robots there are, and add, change and remove some.
+//!
+//! Who may is the hub's to decide, by its rules for the channel `file` of the fleet's session, which its configuration has; a gateway makes
+//! none. The gateway is that channel's device, so that only one program edits.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use mom_base_station::edit::{Change, ChangeError, Edit, EditError, change};
+use mom_base_station::fleet::{Address, Fleet, FleetFault, Robot};
+use mom_client::{Client, ClientError, Code, Event, Family, Map, Parcel, Value, from_value};
+use mom_device::stay;
+use serde::Deserialize;
+use tokio::sync::{mpsc, watch};
+use tokio::task::spawn_blocking;
+
+use crate::peer::GatewayOptions;
+
+/// Edits that may wait; one of them is a person's work of seconds.
+const WAITING: usize = 32;
+
+/// The file that people may edit.
+#[derive(Debug)]
+pub struct FleetFile {
+    /// Where it is.
+    pub path: PathBuf,
+    /// Takes what it says after an edit.
+    pub taken: mpsc::Sender<Fleet>,
+}
+
+/// A robot, as messages name it.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Entry {
+    unit: u32,
+    address: String,
+    name: Option<String>,
+    group: Option<String>,
+}
+
+/// What a message `edit` asks for: `add`, or one of `change` and `remove` with the address that the robot `was` seen at.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Asked {
+    add: Option<Entry>,
+    change: Option<u32>,
+    remove: Option<u32>,
+    was: Option<String>,
+    to: Option<Entry>,
+}
+
+/// Why an edit is refused.
+#[derive(Debug)]
+struct Refused {
+    name: &'static str,
+    text: String,
+    /// What of the robot is at fault.
+    field: Option<&'static str>,
+}
+
+impl Refused {
+    fn new(name: &'static str, text: impl Into<String>) -> Refused {
+        Refused {
+            name,
+            text: text.into(),
+            field: None,
+        }
+    }
+}
+
+/// What the editor hears.
+enum Heard {
+    Edit(Box<Parcel>),
+    /// The hub has begun anew: it knows nothing of what was told.
+    Anew,
+}
+
+pub(crate) struct Editor {
+    pub(crate) client: Client,
+    pub(crate) options: Arc<GatewayOptions>,
+    pub(crate) file: FleetFile,
+    /// The fleet that is driven.
+    pub(crate) present: watch::Receiver<Fleet>,
+    /// The robots that the gateway's connections carry.
+    pub(crate) most: usize,
+}
+
+impl Editor {
+    /// Serves people for as long as the client lives; not at all where the hub has no channel for it.
+    pub(crate) async fn serve(mut self) {
+        let path = self.options.file();
+        let channel = match self.client.channel_as_device(&path).await {
+            Ok(channel) => channel,
+            Err(error) => {
+                tracing::info!(%error, channel = %path, "the fleet's file is not edited from the hub");
+                return;
+            }
+        };
+        let (sender, mut heard) = mpsc::channel(WAITING);
+        let (client, again) = (self.client.clone(), sender.clone());
+        let enter = move || {
+            let (client, path, again) = (client.clone(), path.clone(), again.clone());
+            async move {
+                let channel = client.channel_as_device(&path).await?;
+                let _ = again.try_send(Heard::Anew);
+                Ok(channel)
+            }
+        };
+        let staying = stay(channel, enter, move |event| {
+            let heard = match event {
+                Event::Message(parcel) if parcel.name() == "edit" => Heard::Edit(Box::new(parcel)),
+                Event::Rejoined => Heard::Anew,
+                _ => return,
+            };
+            // Whose edit finds no place says it again, as nothing has answered.
+            let _ = sender.try_send(heard);
+        });
+        tokio::select! {
+            () = staying => {}
+            () = self.answer(&mut heard) => {}
+        }
+    }
+
+    async fn answer(&mut self, heard: &mut mpsc::Receiver<Heard>) {
+        self.tell().await;
+        loop {
+            tokio::select! {
+                changed = self.present.changed() => match changed {
+                    Ok(()) => self.tell().await,
+                    Err(_) => return,
+                },
+                next = heard.recv() => match next {
+                    Some(Heard::Edit(parcel)) => self.take(&parcel).await,
+                    Some(Heard::Anew) => self.tell().await,
+                    None => return,
+                },
+            }
+        }
+    }
+
+    /// Tells which robots there are.
+    async fn tell(&mut self) {
+        let robots: Vec<Value> = self
+            .present
+            .borrow_and_update()
+            .robots()
+            .iter()
+            .map(|robot| to_map(robot).into())
+            .collect();
+        self.say(Parcel::new(Family::Message, "robots").content(Map::new().with("robots", robots)))
+            .await;
+    }
+
+    async fn say(&self, parcel: Parcel) {
+        let Ok(path) = mom_client::Path::parse(&self.options.file()) else {
+            return;
+        };
+        if let Err(error) = self.client.send(parcel.context(path)).await {
+            tracing::debug!(%error, "not told in the channel of the fleet's file");
+        }
+    }
+
+    /// Does what was asked for, and tells everybody there what was done, or who has asked why not.
+    async fn take(&self, parcel: &Parcel) {
+        let by = parcel.sender.as_deref().unwrap_or_default().to_owned();
+        let answer = |content: Map| {
+            let mut answer = Parcel::new(Family::Message, "edited").content(content.with("by", by.as_str()));
+            answer.reference = parcel.id;
+            answer
+        };
+        match self.edit(parcel, &by).await {
+            Ok(done) => {
+                tracing::info!(by, done, "the fleet's file is changed");
+                self.say(answer(Map::new().with("ok", true).with("text", done)))
+                    .await;
+            }
+            Err(refused) => {
+                tracing::info!(
+                    by,
+                    code = refused.name,
+                    text = refused.text,
+                    "an edit of the fleet's file is refused"
+                );
+                let mut content = Map::new()
+                    .with("ok", false)
+                    .with("name", refused.name)
+                    .with("text", refused.text);
+                if let Some(field) = refused.field {
+                    content.set("field", field);
+                }
+                let mut answer = answer(content);
+                answer.address = Some(vec![by.as_str().into()]);
+                self.say(answer).await;
+            }
+        }
+    }
+
+    /// Gives what was done, in words.
+    async fn edit(&self, parcel: &Parcel, by: &str) -> Result<String, Refused> {
+        let asked: Asked = from_value(parcel.value()).map_err(|error| {
+            let text = format!("an edit is {{add}}, {{change, was, to}} or {{remove, was}}: {error}");
+            Refused::new("bad-content", text)
+        })?;
+        let (edit, done) = match asked {
+            Asked {
+                add: Some(add),
+                change: None,
+                remove: None,
+                was: None,
+                to: None,
+            } => {
+                if self.present.borrow().robots().len() >= self.most {
+                    let text = format!(
+                        "this gateway's connections carry {} robots, and all places are taken; add it by mom-base-station and start the gateway again",
+                        self.most
+                    );
+                    return Err(Refused::new("full", text));
+                }
+                let robot = robot_of(add)?;
+                let done = format!("unit {} at {} was added", robot.unit, robot.address);
+                (Edit::Add(robot), done)
+            }
+            Asked {
+                change: Some(unit),
+                was: Some(was),
+                to: Some(to),
+                add: None,
+                remove: None,
+            } => {
+                let before = self.known(unit, &was)?;
+                let to = robot_of(to)?;
+                self.is_free(&before, by).await?;
+                let done = format!(
+                    "unit {unit} at {was} is unit {} at {} now{}",
+                    to.unit,
+                    to.address,
+                    to.name
+                        .as_deref()
+                        .map(|name| format!(", {name}"))
+                        .unwrap_or_default()
+                );
+                let change = Change {
+                    unit: (to.unit != before.unit).then_some(to.unit),
+                    address: (to.address != before.address).then_some(to.address),
+                    name: (to.name != before.name).then_some(to.name),
+                    group: (to.group != before.group).then_some(to.group),
+                };
+                (Edit::Change(unit, change), done)
+            }
+            Asked {
+                remove: Some(unit),
+                was: Some(was),
+                add: None,
+                change: None,
+                to: None,
+            } => {
+                let before = self.known(unit, &was)?;
+                self.is_free(&before, by).await?;
+                (
+                    Edit::Remove(vec![unit]),
+                    format!("unit {unit} at {was} was removed"),
+                )
+            }
+            _ => {
+                let text = "an edit is {add}, {change, was, to} or {remove, was}, and one of them";
+                return Err(Refused::new("bad-content", text));
+            }
+        };
+        let path = self.file.path.clone();
+        let changed = spawn_blocking(move || change(Path::new(&path), &edit)).await;
+        let fleet = match changed {
+            Ok(Ok(fleet)) => fleet,
+            Ok(Err(error)) => return Err(refusal(&error)),
+            Err(error) => return Err(Refused::new("file", error.to_string())),
+        };
+        // It is gone when the program ends.
+        let _ = self.file.taken.send(fleet).await;
+        Ok(done)
+    }
+
+    /// The robot that is meant, if it is still what was seen: numbers are given anew.
+    fn known(&self, unit: u32, was: &str) -> Result<Robot, Refused> {
+        let present = self.present.borrow();
+        let robot = present.robots().iter().find(|robot| robot.unit == unit);
+        let robot =
+            robot.ok_or_else(|| Refused::new("stale", format!("there is no unit {unit} any more")))?;
+        match robot.address.to_string() == was {
+            true => Ok(robot.clone()),
+            false => {
+                let text = format!(
+                    "unit {unit} is at {} now, and no more at {was}: look again",
+                    robot.address
+                );
+                Err(Refused::new("stale", text))
+            }
+        }
+    }
+
+    /// A robot that somebody else drives is left to them: it would halt.
+    async fn is_free(&self, robot: &Robot, by: &str) -> Result<(), Refused> {
+        let token = self.options.token(robot.unit, robot.group.as_deref());
+        match self.client.info(&token).await {
+            Ok(info) => match info.get("owner").and_then(Value::as_str) {
+                Some(owner) if owner != by => {
+                    let text = format!(
+                        "{owner} holds {token}, and unit {} would halt; ask for the token, or take it, and try again",
+                        robot.unit
+                    );
+                    Err(Refused::new("held", text))
+                }
+                _ => Ok(()),
+            },
+            Err(ClientError::Refused(error)) if error.code == Code::UNKNOWN_PATH => Ok(()),
+            Err(error) => {
+                let text = format!("nobody can say whether {token} is held: {error}");
+                Err(Refused::new("try-later", text))
+            }
+        }
+    }
+}
+
+fn robot_of(entry: Entry) -> Result<Robot, Refused> {
+    let address = Address::parse(&entry.address).map_err(|text| Refused {
+        name: "bad-content",
+        text,
+        field: Some("address"),
+    })?;
+    Ok(Robot {
+        unit: entry.unit,
+        address,
+        name: entry.name.filter(|name| !name.is_empty()),
+        group: entry.group.filter(|group| !group.is_empty()),
+    })
+}
+
+fn to_map(robot: &Robot) -> Map {
+    let mut map = Map::new()
+        .with("unit", i64::from(robot.unit))
+        .with("address", robot.address.to_string());
+    for (key, word) in [("name", &robot.name), ("group", &robot.group)] {
+        if let Some(word) = word {
+            map.set(key, word.as_str());
+        }
+    }
+    map
+}
+
+fn refusal(error: &ChangeError) -> Refused {
+    let text = error.to_string();
+    match error {
+        ChangeError::Edit(EditError::After(after)) => Refused {
+            name: "bad-content",
+            text: after.words().to_owned(),
+            field: match after.fault() {
+                FleetFault::Unit | FleetFault::UnitTwice => Some("unit"),
+                FleetFault::Address | FleetFault::AddressTwice => Some("address"),
+                FleetFault::Name => Some("name"),
+                FleetFault::Group => Some("group"),
+                _ => None,
+            },
+        },
+        ChangeError::Edit(EditError::NoUnit(_)) => Refused::new("stale", text),
+        ChangeError::Edit(_) | ChangeError::File(..) => Refused::new("file", text),
+    }
+}
