@@ -201,7 +201,22 @@ impl Editor {
             let text = format!("an edit is {{add}}, {{change, was, to}} or {{remove, was}}: {error}");
             Refused::new("bad-content", text)
         })?;
-        let (edit, done) = match asked {
+        let (edit, done) = self.plan(asked, by).await?;
+        let path = self.file.path.clone();
+        let changed = spawn_blocking(move || change(Path::new(&path), &edit)).await;
+        let fleet = match changed {
+            Ok(Ok(fleet)) => fleet,
+            Ok(Err(error)) => return Err(refusal(&error)),
+            Err(error) => return Err(Refused::new("file", error.to_string())),
+        };
+        // It is gone when the program ends.
+        let _ = self.file.taken.send(fleet).await;
+        Ok(done)
+    }
+
+    /// What is to be done, and that in words.
+    async fn plan(&self, asked: Asked, by: &str) -> Result<(Edit, String), Refused> {
+        match asked {
             Asked {
                 add: Some(add),
                 change: None,
@@ -218,7 +233,7 @@ impl Editor {
                 }
                 let robot = robot_of(add)?;
                 let done = format!("unit {} at {} was added", robot.unit, robot.address);
-                (Edit::Add(robot), done)
+                Ok((Edit::Add(robot), done))
             }
             Asked {
                 change: Some(unit),
@@ -229,23 +244,19 @@ impl Editor {
             } => {
                 let before = self.known(unit, &was)?;
                 let to = robot_of(to)?;
-                self.is_free(&before, by).await?;
+                // Its name is nothing to the gateway.
+                if (to.unit, &to.address, &to.group) != (before.unit, &before.address, &before.group) {
+                    self.is_free(&before, by).await?;
+                }
+                let name = to.name.as_deref().map(|name| format!(", {name}"));
                 let done = format!(
                     "unit {unit} at {was} is unit {} at {} now{}",
                     to.unit,
                     to.address,
-                    to.name
-                        .as_deref()
-                        .map(|name| format!(", {name}"))
-                        .unwrap_or_default()
+                    name.unwrap_or_default()
                 );
-                let change = Change {
-                    unit: (to.unit != before.unit).then_some(to.unit),
-                    address: (to.address != before.address).then_some(to.address),
-                    name: (to.name != before.name).then_some(to.name),
-                    group: (to.group != before.group).then_some(to.group),
-                };
-                (Edit::Change(unit, change), done)
+                let change = change_of(&before, to);
+                Ok((Edit::Change(unit, change), done))
             }
             Asked {
                 remove: Some(unit),
@@ -256,26 +267,14 @@ impl Editor {
             } => {
                 let before = self.known(unit, &was)?;
                 self.is_free(&before, by).await?;
-                (
-                    Edit::Remove(vec![unit]),
-                    format!("unit {unit} at {was} was removed"),
-                )
+                let done = format!("unit {unit} at {was} was removed");
+                Ok((Edit::Remove(vec![unit]), done))
             }
             _ => {
                 let text = "an edit is {add}, {change, was, to} or {remove, was}, and one of them";
-                return Err(Refused::new("bad-content", text));
+                Err(Refused::new("bad-content", text))
             }
-        };
-        let path = self.file.path.clone();
-        let changed = spawn_blocking(move || change(Path::new(&path), &edit)).await;
-        let fleet = match changed {
-            Ok(Ok(fleet)) => fleet,
-            Ok(Err(error)) => return Err(refusal(&error)),
-            Err(error) => return Err(Refused::new("file", error.to_string())),
-        };
-        // It is gone when the program ends.
-        let _ = self.file.taken.send(fleet).await;
-        Ok(done)
+        }
     }
 
     /// The robot that is meant, if it is still what was seen: numbers are given anew.
@@ -331,6 +330,16 @@ fn robot_of(entry: Entry) -> Result<Robot, Refused> {
         name: entry.name.filter(|name| !name.is_empty()),
         group: entry.group.filter(|group| !group.is_empty()),
     })
+}
+
+/// What is other than before.
+fn change_of(before: &Robot, to: Robot) -> Change {
+    Change {
+        unit: (to.unit != before.unit).then_some(to.unit),
+        address: (to.address != before.address).then_some(to.address),
+        name: (to.name != before.name).then_some(to.name),
+        group: (to.group != before.group).then_some(to.group),
+    }
 }
 
 fn to_map(robot: &Robot) -> Map {
