@@ -19,6 +19,9 @@ const STEP: usize = 64 * 1024;
 /// Read at once from the network.
 const AT_ONCE: usize = 16 * 1024;
 
+/// Line ends before a stream that are looked past: those behind the parcel before it. More are read as what they are, line by line.
+const BLANKS: usize = 4;
+
 /// What a frame of zstd begins with (RFC 8878, 3.1.1).
 const ZSTD: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
@@ -117,7 +120,10 @@ impl Unpacker {
                 true => Begins::At(0),
             };
         }
-        let blanks = bytes.iter().take_while(|byte| matches!(byte, b'\n' | b'\r'));
+        let blanks = bytes
+            .iter()
+            .take(BLANKS)
+            .take_while(|byte| matches!(byte, b'\n' | b'\r'));
         let at = blanks.count();
         match (self.way, &bytes[at..]) {
             (_, []) => Begins::No,

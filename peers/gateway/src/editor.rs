@@ -108,7 +108,10 @@ impl Editor {
         };
         let staying = stay(channel, enter, move |event| {
             let heard = match event {
-                Event::Message(parcel) if parcel.name() == "edit" => Heard::Edit(Box::new(parcel)),
+                // What the channel has kept was done, or refused, before.
+                Event::Message(parcel) if parcel.name() == "edit" && !parcel.is_history() => {
+                    Heard::Edit(Box::new(parcel))
+                }
                 Event::Rejoined => Heard::Anew,
                 _ => return,
             };

@@ -245,19 +245,7 @@ impl FleetLab {
         std::fs::write(&fleet, format!("# Ours.\n\n{}", tables[..3].concat())).expect("it is written");
         let (broker, address) = Running::broker(&project().join("config/fleet.toml"));
         let hub = format!("bin://{address}");
-        let gateway = Running::start_with(
-            "mom-gateway",
-            &[
-                "--fleet",
-                fleet.to_str().expect("text"),
-                "--hub",
-                &hub,
-                "--manager",
-                "robot-token",
-            ],
-            &[("MOM_PASSWORD", "gateway")],
-            Stdio::from(File::create(folder.path().join("log")).expect("a log")),
-        );
+        let gateway = FleetLab::gateway(&folder, &hub);
         logged(&folder.path().join("log"), "all robots are connected");
         FleetLab {
             at: tables.iter().map(quoted).collect(),
@@ -266,6 +254,23 @@ impl FleetLab {
             gateway,
             _programs: [robots, broker],
         }
+    }
+
+    fn gateway(folder: &tempfile::TempDir, hub: &str) -> Running {
+        let fleet = folder.path().join("fleet.toml");
+        Running::start_with(
+            "mom-gateway",
+            &[
+                "--fleet",
+                fleet.to_str().expect("text"),
+                "--hub",
+                hub,
+                "--manager",
+                "robot-token",
+            ],
+            &[("MOM_PASSWORD", "gateway")],
+            Stdio::from(File::create(folder.path().join("log")).expect("a log")),
+        )
     }
 
     fn file(&self) -> String {
@@ -378,9 +383,29 @@ async fn an_operator_edits_the_fleet_at_the_hub() {
         3
     );
     logged(&lab.folder.path().join("log"), "by=\"carol\"");
+    let FleetLab {
+        folder,
+        hub,
+        at,
+        gateway,
+        _programs,
+    } = lab;
+    gateway.signal("TERM");
+    assert!(gateway.wait().success());
+    // The channel has kept the last edit: it is done once, whoever comes.
+    let file = folder.path().join("fleet.toml");
+    let text = std::fs::read_to_string(&file).expect("it is there");
+    let first = format!("\n[[robot]]\nunit = 1\naddress = \"{}\"\n", at[0]);
+    std::fs::write(&file, text + &first).expect("it is written");
+    let _again = FleetLab::gateway(&folder, &hub);
+    assert_eq!(carol.robots(4).await[0], (1, at[0].clone()));
+    let said = carol
+        .edit(Map::new().with("remove", 9).with("was", "nowhere:1"))
+        .await;
+    assert_eq!(word(&said, "name"), Some("stale"), "{said:?}");
+    let text = std::fs::read_to_string(&file).expect("it is there");
+    assert!(text.contains(&at[0]), "{text}");
     carol.client.close().await;
-    lab.gateway.signal("TERM");
-    assert!(lab.gateway.wait().success());
 }
 
 /// A robot that somebody else holds is left to them; who is no operator neither sees where robots listen nor changes it.
