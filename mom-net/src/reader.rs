@@ -26,8 +26,6 @@ pub struct Reader {
     source: Source,
     /// The bytes that have arrived since it began.
     received: u64,
-    /// The bytes that were opened of them, where they were compressed.
-    opened: u64,
 }
 
 #[derive(Debug)]
@@ -53,11 +51,7 @@ impl Reader {
             Source::Stream { buffer, .. } => buffer.bytes.len() as u64,
             Source::Local { .. } => 0,
         };
-        Reader {
-            source,
-            received,
-            opened: 0,
-        }
+        Reader { source, received }
     }
 
     /// The bytes that have arrived since it began; none counted inside a process.
@@ -67,7 +61,14 @@ impl Reader {
 
     /// As many, and those that were opened of them: what the other side keeps until it is told that it was read.
     pub fn brought(&self) -> u64 {
-        self.received + self.opened
+        let opened = match &self.source {
+            Source::Stream {
+                unpacker: Some(unpacker),
+                ..
+            } => unpacker.opened(),
+            _ => 0,
+        };
+        self.received + opened
     }
 
     /// The wire form, none inside a process.
@@ -173,13 +174,10 @@ impl Reader {
             } => {
                 let announced = announced(decoder, &buffer.bytes);
                 if let Some(unpacker) = unpacker.as_deref_mut().filter(|unpacker| unpacker.is_open()) {
-                    let Some((arrived, opened)) = open_some(stream, buffer, unpacker, announced).await?
-                    else {
-                        return Ok(false);
-                    };
-                    self.received += arrived as u64;
-                    self.opened += opened as u64;
-                    return Ok(true);
+                    // Apart: few connections are compressed, and the others need no room for it.
+                    let arrived = Box::pin(open_some(stream, buffer, unpacker, announced)).await?;
+                    self.received += arrived.unwrap_or_default() as u64;
+                    return Ok(arrived.is_some());
                 }
                 match poll_fn(|context| poll_read(stream, buffer, announced, context)).await? {
                     0 if buffer.bytes.is_empty() => Ok(false),
@@ -318,13 +316,13 @@ fn announced(decoder: &Decoder, bytes: &[u8]) -> usize {
     }
 }
 
-/// Opens some of what has arrived, and reads where nothing has; gives how many bytes were read and opened, none at the end.
+/// Opens some of what has arrived, and reads where nothing has; gives how many bytes were read, none at the end.
 async fn open_some(
     stream: &mut ReadHalf,
     buffer: &mut ReadBuffer,
     unpacker: &mut Unpacker,
     announced: usize,
-) -> Result<Option<(usize, usize)>, NetError> {
+) -> Result<Option<usize>, NetError> {
     let mut arrived = 0;
     if !unpacker.has_more() {
         let read = poll_fn(|context| {
@@ -343,7 +341,8 @@ async fn open_some(
         }
     }
     buffer.make_room(announced);
-    Ok(Some((arrived, unpacker.fill(&mut buffer.bytes)?)))
+    unpacker.fill(&mut buffer.bytes)?;
+    Ok(Some(arrived))
 }
 
 /// Reads what has arrived. While nothing has, the connection holds no buffer: thousands of idle ones share a few.

@@ -85,12 +85,21 @@ impl HttpConnection {
 
     /// Carries a request of one who knows the tunnel.
     pub(super) async fn use_tunnel(&self, id: &str, request: Request<Incoming>) -> Response<Body> {
+        let body_by = Instant::now() + BODY.min(login_time(&self.services.limits));
         let Some(tunnel) = self.web.tunnels.find(id) else {
-            return refuse(
-                StatusCode::NOT_FOUND,
-                "unknown-tunnel",
-                "there is no such tunnel; open one with POST /tunnel",
-            );
+            let again = match self.web.tunnels.find_former(id) {
+                Some(tunnel)
+                    if !tunnel.is_private() || self.is_secured(self.remote_of(request.headers())) =>
+                {
+                    self.web.tunnels.answer_again(&tunnel, request, body_by).await
+                }
+                _ => None,
+            };
+            let unknown = || {
+                let text = "there is no such tunnel; open one with POST /tunnel";
+                refuse(StatusCode::NOT_FOUND, "unknown-tunnel", text)
+            };
+            return again.unwrap_or_else(unknown);
         };
         if tunnel.is_private() && !self.is_secured(self.remote_of(request.headers())) {
             let text = "this tunnel was opened over TLS, and is used over TLS only";
@@ -99,7 +108,6 @@ impl HttpConnection {
         if let Err(error) = self.count_as_user_of(&tunnel) {
             return refuse(StatusCode::SERVICE_UNAVAILABLE, error.code.word(), &error.text);
         }
-        let body_by = Instant::now() + BODY.min(login_time(&self.services.limits));
         self.web
             .tunnels
             .answer(&tunnel, request, &self.services.limits, body_by)

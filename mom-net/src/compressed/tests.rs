@@ -311,6 +311,10 @@ async fn an_end_in_the_middle_of_a_parcel_is_one() {
 fn many_blanks_are_no_beginning() {
     for way in STREAMS {
         let many = [&[b'\r'; 5][..], &compressed(way, &[b"{}\n"])].concat();
-        assert_eq!(opened(way, Form::Json, &[&many]).expect("passed on").0, many, "{way}");
+        assert_eq!(
+            opened(way, Form::Json, &[&many]).expect("passed on").0,
+            many,
+            "{way}"
+        );
     }
 }

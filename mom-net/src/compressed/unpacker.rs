@@ -44,6 +44,8 @@ pub(crate) struct Unpacker {
     arrived: BytesMut,
     /// What was read may give more than was taken.
     has_more: bool,
+    /// How many bytes were opened in all.
+    opened: u64,
 }
 
 enum Engine {
@@ -79,7 +81,13 @@ impl Unpacker {
             engine: None,
             arrived: BytesMut::new(),
             has_more: false,
+            opened: 0,
         }
+    }
+
+    /// How many bytes were opened in all.
+    pub(crate) fn opened(&self) -> u64 {
+        self.opened
     }
 
     pub(crate) fn is_open(&self) -> bool {
@@ -180,14 +188,14 @@ impl Unpacker {
         self.arrived.extend_from_slice(bytes);
     }
 
-    /// Opens some more of what has arrived, and gives how many bytes that are.
+    /// Opens some more of what has arrived.
     ///
     /// # Errors
     /// `bad-frame` for what is no stream, or needs more memory than was agreed on.
-    pub(crate) fn fill(&mut self, bytes: &mut BytesMut) -> Result<usize, WireError> {
+    pub(crate) fn fill(&mut self, bytes: &mut BytesMut) -> Result<(), WireError> {
         let way = self.way;
         let Some(engine) = &mut self.engine else {
-            return Ok(0);
+            return Ok(());
         };
         OPENED.with_borrow_mut(|opened| {
             opened.resize(STEP, 0);
@@ -206,7 +214,8 @@ impl Unpacker {
                 }
             }
             bytes.extend_from_slice(&opened[..written]);
-            Ok(written)
+            self.opened += written as u64;
+            Ok(())
         })
     }
 }

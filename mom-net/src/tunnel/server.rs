@@ -13,6 +13,7 @@ use hyper::body::Body;
 use mom_proto::codec::{Decoder, Form};
 use mom_proto::{Code, Limits, Parcel, WireError};
 use parking_lot::Mutex;
+use sha2::{Digest as _, Sha256};
 use tokio::sync::Notify;
 use tokio::time::{Instant, timeout, timeout_at};
 
@@ -30,6 +31,8 @@ const FAREWELL: Duration = Duration::from_secs(3);
 #[derive(Debug, Default)]
 pub struct Tunnels {
     open: Mutex<HashMap<SecretId, Arc<Tunnel>>>,
+    /// By the ids before their logins, as long as nobody has used the new ones.
+    former: Mutex<HashMap<SecretId, Arc<Tunnel>>>,
 }
 
 /// One tunnel.
@@ -37,8 +40,8 @@ pub struct Tunnels {
 pub struct Tunnel {
     pipe: Arc<Pipe>,
     id: Mutex<SecretId>,
-    /// Its id is another than before its login.
-    renewed: Mutex<bool>,
+    /// What has brought its login, once its id is another than before.
+    renewed: Mutex<Option<LoginPost>>,
     /// Nobody could read along when it was opened, so nobody may when it is used.
     private: bool,
     /// Whose it is, in the numbers of the hub; 0 before that is known.
@@ -46,6 +49,30 @@ pub struct Tunnel {
     /// The request that brings bytes down at the moment: one that is newer takes its place.
     turn: AtomicU64,
     turned: Notify,
+}
+
+/// The request that has brought a login. Its answer has the new id: if that is lost, only who sends the very same bytes again, with their
+/// proof of who it is, gets it again.
+#[derive(Debug)]
+struct LoginPost {
+    /// The id before. None: the new one was used, or somebody else has come with the old one.
+    id: Option<SecretId>,
+    at: u64,
+    digest: [u8; 32],
+}
+
+impl LoginPost {
+    fn new(id: SecretId, at: u64, body: &[u8]) -> LoginPost {
+        LoginPost {
+            id: Some(id),
+            at,
+            digest: Sha256::digest(body).into(),
+        }
+    }
+
+    fn is(&self, at: u64, body: &[u8]) -> bool {
+        self.at == at && self.digest == <[u8; 32]>::from(Sha256::digest(body))
+    }
 }
 
 /// What is said by a request, behind the `?`.
@@ -68,7 +95,7 @@ impl Tunnels {
         let tunnel = Arc::new(Tunnel {
             pipe: Arc::default(),
             id: Mutex::new(id),
-            renewed: Mutex::new(false),
+            renewed: Mutex::new(None),
             private,
             peer: AtomicU64::new(0),
             turn: AtomicU64::new(0),
@@ -80,7 +107,10 @@ impl Tunnels {
 
     /// The tunnel that a path names, behind `/tunnel/`.
     pub fn find(&self, id: &str) -> Option<Arc<Tunnel>> {
-        self.open.lock().get(&id.parse().ok()?).cloned()
+        let tunnel = self.open.lock().get(&id.parse().ok()?).cloned()?;
+        // Its id is known, if it is a new one.
+        self.forget_former(&tunnel);
+        Some(tunnel)
     }
 
     /// Waits a moment until the peer has heard all that was said, and forgets the tunnel.
@@ -95,13 +125,22 @@ impl Tunnels {
     }
 
     fn forget(&self, tunnel: &Tunnel) {
+        self.forget_former(tunnel);
         self.open.lock().remove(&*tunnel.id.lock());
     }
 
+    /// From now on the id before the login is that of nobody.
+    fn forget_former(&self, tunnel: &Tunnel) {
+        let former = tunnel.renewed.lock().as_mut().and_then(|post| post.id.take());
+        if let Some(former) = former {
+            self.former.lock().remove(&former);
+        }
+    }
+
     /// Gives a tunnel whose peer has logged in another id: whoever has seen the first one has nothing by it.
-    fn renew(&self, tunnel: &Arc<Tunnel>) -> Option<SecretId> {
+    fn renew(&self, tunnel: &Arc<Tunnel>, at: u64, body: &[u8]) -> Option<SecretId> {
         let mut renewed = tunnel.renewed.lock();
-        if *renewed || !tunnel.pipe.is_trusted() {
+        if renewed.is_some() || !tunnel.pipe.is_trusted() {
             return None;
         }
         let new = SecretId::random()?;
@@ -109,10 +148,45 @@ impl Tunnels {
         let mut id = tunnel.id.lock();
         // One that has ended while this request was under way does not come back.
         open.remove(&*id)?;
+        self.former.lock().insert(*id, Arc::clone(tunnel));
+        *renewed = Some(LoginPost::new(*id, at, body));
         *id = new;
-        *renewed = true;
         open.insert(new, Arc::clone(tunnel));
         Some(new)
+    }
+
+    /// The tunnel whose login has come by this id, of which nobody has used the new one.
+    pub fn find_former(&self, id: &str) -> Option<Arc<Tunnel>> {
+        self.former.lock().get(&id.parse().ok()?).cloned()
+    }
+
+    /// Answers the request that has brought a login once more: where its answer was lost, nobody knows the new id. None for any other request;
+    /// whoever brings other bytes ends that.
+    pub async fn answer_again<B>(
+        &self,
+        tunnel: &Tunnel,
+        request: Request<B>,
+        body_by: Instant,
+    ) -> Option<Response<TunnelBody>>
+    where
+        B: Body<Data = Bytes>,
+        B::Error: Into<Box<dyn std::error::Error + Send + Sync>>,
+    {
+        // Whoever waits for bytes comes by the old id until the new one is known.
+        if *request.method() != Method::POST {
+            return None;
+        }
+        let said = Said::read(request.uri().query().unwrap_or_default())?;
+        let body = timeout_at(body_by, Limited::new(request.into_body(), MOST_UP).collect()).await;
+        let body = body.ok()?.ok()?.to_bytes();
+        let Some(id) = tunnel.login_again(said.at, &body) else {
+            self.forget_former(tunnel);
+            return None;
+        };
+        let (taken, sent) = (tunnel.pipe.arrived_to(), tunnel.pipe.written_to());
+        let mut answer = count(StatusCode::OK, &[(TAKEN, taken), (SENT, sent)]);
+        answer.headers_mut().insert(ID, id.to_string().parse().ok()?);
+        Some(answer)
     }
 
     /// Answers a request about a tunnel. A body has to be here by `body_by`, and before login it is no larger than a parcel
@@ -186,7 +260,9 @@ impl Tunnels {
         }
         let (taken, sent) = (tunnel.pipe.arrived_to(), tunnel.pipe.written_to());
         let mut answer = count(StatusCode::OK, &[(TAKEN, taken), (SENT, sent)]);
-        if let Some(id) = self.renew(tunnel)
+        // Sent twice, it may find that the other one has brought the new id to nobody.
+        let id = self.renew(tunnel, said.at, body);
+        if let Some(id) = id.or_else(|| tunnel.login_again(said.at, body))
             && let Ok(id) = id.to_string().parse()
         {
             answer.headers_mut().insert(ID, id);
@@ -248,6 +324,13 @@ impl Tunnel {
                 return Err(std::io::Error::from(std::io::ErrorKind::UnexpectedEof).into());
             }
         }
+    }
+
+    /// Its new id, for who brings the bytes of its login again, as long as nobody has used that.
+    fn login_again(&self, at: u64, body: &[u8]) -> Option<SecretId> {
+        let renewed = self.renewed.lock();
+        let post = renewed.as_ref()?;
+        (post.id.is_some() && post.is(at, body)).then(|| *self.id.lock())
     }
 
     /// Brings bytes down.

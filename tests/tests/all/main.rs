@@ -72,6 +72,7 @@ mod told;
 mod top;
 mod traces;
 mod tunnel;
+mod tunnel_login;
 mod two_arms;
 mod uplink;
 mod web;

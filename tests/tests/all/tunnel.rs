@@ -18,21 +18,21 @@ const BEFORE_LOGIN: usize = 16 * 1024;
 
 /// An answer.
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct Answer {
-    status: u16,
+pub(crate) struct Answer {
+    pub(crate) status: u16,
     head: String,
     body: Vec<u8>,
 }
 
 impl Answer {
-    fn field(&self, wanted: &str) -> Option<&str> {
+    pub(crate) fn field(&self, wanted: &str) -> Option<&str> {
         let mut fields = self.head.lines().filter_map(|line| line.split_once(": "));
         fields
             .find(|(name, _)| name.eq_ignore_ascii_case(wanted))
             .map(|(_, value)| value)
     }
 
-    fn number(&self, wanted: &str) -> Option<usize> {
+    pub(crate) fn number(&self, wanted: &str) -> Option<usize> {
         self.field(wanted)?.parse().ok()
     }
 
@@ -79,16 +79,16 @@ async fn ask(address: SocketAddr, bytes: &[u8]) -> Answer {
 }
 
 /// A tunnel in JSON, by hand.
-struct ByHand {
+pub(crate) struct ByHand {
     address: SocketAddr,
-    id: String,
+    pub(crate) id: String,
     /// Bytes that went up.
-    up: usize,
+    pub(crate) up: usize,
     last: u64,
 }
 
 impl ByHand {
-    async fn open(broker: &Broker) -> ByHand {
+    pub(crate) async fn open(broker: &Broker) -> ByHand {
         ByHand::open_with(broker, "").await
     }
 
@@ -124,20 +124,20 @@ impl ByHand {
         format!("/tunnel/{}?{query}", self.id)
     }
 
-    fn encode(&mut self, parcel: Parcel) -> Vec<u8> {
+    pub(crate) fn encode(&mut self, parcel: Parcel) -> Vec<u8> {
         self.last += 1;
         let encoded = Form::Json.encode(&parcel.id(self.last));
         encoded.expect("a form on the wire").to_vec()
     }
 
     /// Brings bytes up that begin at this place.
-    async fn post(&self, at: usize, body: &[u8]) -> Answer {
+    pub(crate) async fn post(&self, at: usize, body: &[u8]) -> Answer {
         let path = self.path(&format!("at={at}"));
         ask(self.address, &request("POST", &path, "", body)).await
     }
 
     /// Brings a parcel up.
-    async fn say(&mut self, parcel: Parcel) -> Answer {
+    pub(crate) async fn say(&mut self, parcel: Parcel) -> Answer {
         let bytes = self.encode(parcel);
         let answer = self.post(self.up, &bytes).await;
         self.up += bytes.len();
@@ -150,13 +150,13 @@ impl ByHand {
     }
 
     /// What comes down from this place on.
-    async fn get(&self, at: usize) -> Answer {
+    pub(crate) async fn get(&self, at: usize) -> Answer {
         let path = self.path(&format!("at={at}&wait=10000"));
         ask(self.address, &request("GET", &path, "", b"")).await
     }
 
     /// Reads until these words have come down, and gives all of it.
-    async fn until(&self, words: &str) -> Vec<u8> {
+    pub(crate) async fn until(&self, words: &str) -> Vec<u8> {
         let all = async {
             loop {
                 let answer = self.get(0).await;
@@ -169,7 +169,7 @@ impl ByHand {
     }
 }
 
-fn chat() -> Path {
+pub(crate) fn chat() -> Path {
     Path::parse("/chat").expect("a path")
 }
 
