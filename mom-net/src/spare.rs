@@ -33,8 +33,8 @@ pub(crate) struct ReadBuffer {
     pub(crate) bytes: BytesMut,
     /// Whether it was made for one large frame.
     large: bool,
-    /// The size of the last frame if that was a large one: the next is probably as large.
-    last: usize,
+    /// The size of the last frame if that was a large one: the next is probably as large. No frame has more bytes than this holds.
+    last: u32,
 }
 
 impl ReadBuffer {
@@ -49,7 +49,7 @@ impl ReadBuffer {
     pub(crate) fn make_room(&mut self, announced: usize) {
         let bytes = &mut self.bytes;
         if announced > SIZE {
-            self.last = announced;
+            self.last = u32::try_from(announced).unwrap_or(u32::MAX);
             if bytes.capacity() < announced {
                 let mut larger = take_large(announced);
                 larger.extend_from_slice(bytes);
@@ -58,7 +58,7 @@ impl ReadBuffer {
         } else if bytes.is_empty() && bytes.capacity() < LEAST {
             match self.last {
                 0 => self.replace(take(), false),
-                size => self.replace(take_large(size), true),
+                size => self.replace(take_large(size as usize), true),
             }
         } else if bytes.capacity() - bytes.len() < LEAST {
             bytes.reserve(SIZE);
