@@ -299,15 +299,16 @@ test("the age that the page tells is that of the stamp in the picture's own pixe
     await channel.send("image", { image: stamped(now % 2n ** 40n), "media-type": "image/png", width: 320, height: 240, view: "stamped", taken: new Time(now) });
     await page.waitForFunction((count) => globalThis.told.length >= count, count);
   }
+  const millis = (value, unit) => Number(value) * (unit === "s" ? 1000 : 1);
   const found = (await page.evaluate(() => globalThis.told)).slice(3).map(({ least, said, most }) => {
-    const [, value, unit] = /shown ([\d.]+) (ms|s)/.exec(said) ?? [];
-    return { least, said: Number(value) * (unit === "s" ? 1000 : 1), most };
+    const [, value, unit, error, errorUnit] = /shown ([\d.]+) (ms|s) ± ([\d.]+) (ms|s)/.exec(said) ?? [];
+    return { least, said: millis(value, unit), error: millis(error, errorUnit), most };
   });
-  t.diagnostic(`glass to glass: ${found.map(({ least, said, most }) => `${least.toFixed(0)}-${said}-${most.toFixed(0)}`).join(" ")} ms (when it came to the canvas - what the page says - two frames later)`);
-  const off = found.map(({ least, said, most }) => Math.max(0, least - said, said - most)).sort((one, other) => one - other);
-  // By a clock that has been compared with the hub's.
-  // It is as wrong as the round trip was long, where the page was busy at that moment.
-  assert.ok(off[Math.floor(off.length / 2)] < 60, `off by ${off}`);
+  t.diagnostic(`glass to glass: ${found.map(({ least, said, error, most }) => `${least.toFixed(0)}-${said}±${error}-${most.toFixed(0)}`).join(" ")} ms (when it came to the canvas - what the page says - two frames later)`);
+  // The page's clock is as wrong as its quickest exchange with the hub was long, and the page says how much that is.
+  // What remains is the frame between the drawing and what is told of it.
+  const off = found.map(({ least, said, error, most }) => Math.max(0, least - said - error, said - error - most)).sort((one, other) => one - other);
+  assert.ok(off[Math.floor(off.length / 2)] < 20, `off by ${off}`);
 });
 
 test("four cameras leave the page's thread free", async (t) => {
