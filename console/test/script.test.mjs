@@ -1,4 +1,4 @@
-// The tables of peers/arm/src/script.rs: both read scripts alike.
+// The tables of lab/arm/src/script.rs: both read scripts alike.
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { load } from "./bundle.mjs";

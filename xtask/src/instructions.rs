@@ -240,7 +240,7 @@ mod tests {
             ("docs/design.md", "words"),
             ("mom-hub/tests/random/main.rs", "fn main() {}"),
             ("mom-hub/src/tree/tests.rs", ""),
-            ("peers/arm/src/lib.rs", ""),
+            ("lab/arm/src/lib.rs", ""),
         ] {
             assert_eq!(of(&[lock, hub, same], "rustc 1"), now, "{same:?}");
         }

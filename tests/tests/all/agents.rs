@@ -8,7 +8,7 @@ use mom_tests::programs::{PATIENCE, Running, example, project};
 use tokio::time::timeout;
 
 const TOKEN: &str = "/robot/token";
-const RUST: &str = "peers/drive/examples/agent.rs";
+const RUST: &str = "kit/drive/examples/agent.rs";
 const PYTHON: &str = "clients/python/examples/agent.py";
 
 /// The template in Rust, at this hub.

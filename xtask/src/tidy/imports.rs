@@ -91,8 +91,7 @@ const ARROWS: &[(&str, May)] = &[
             // The robot of its tests.
             "mom-cubo",
             "mom-device",
-            "mom-fleet",
-            "mom-rover",
+            "mom-wheeled",
             "mom-rsp",
             "mom-rsp-model",
             "mom-sound",
@@ -100,13 +99,16 @@ const ARROWS: &[(&str, May)] = &[
             "mom-program",
         ]),
     ),
-    ("mom-fleet", May::Use(&["mom-client", "mom-device"])),
+    (
+        "mom-wheeled",
+        May::Use(&["mom-client", "mom-device", "mom-wheels"]),
+    ),
     (
         "mom-rover",
         May::Use(&[
             "mom-client",
             "mom-device",
-            "mom-fleet",
+            "mom-wheeled",
             "mom-trace",
             "mom-wheels",
             "mom-program",
@@ -171,7 +173,7 @@ const ARROWS: &[(&str, May)] = &[
             "mom-client",
             "mom-device",
             "mom-drive",
-            "mom-fleet",
+            "mom-wheeled",
             "mom-brs",
             "mom-linuxbot",
             "mom-base-station",
@@ -191,6 +193,11 @@ const ARROWS: &[(&str, May)] = &[
     ),
     ("xtask", May::Use(&[])),
 ];
+
+/// The wings: folders whose packages use the core, the kit and their own wing, and never one another.
+const WINGS: &[&str] = &["lab", "fleet", "thin"];
+/// What all wings are built with.
+const KIT: &str = "kit";
 
 /// The crates that decide: no IO, no clock, no randomness but a given seed.
 const PURE: &[&str] = &["mom-proto", "mom-managers", "mom-hub"];
@@ -233,6 +240,9 @@ pub(crate) fn check(tree: &Tree, report: &mut Report<'_>) -> Result<()> {
         };
         let May::Use(allowed) = may else { continue };
         for (key, package) in dependencies(manifest, workspace) {
+            if let Some(text) = crosses(path, name, &package, &manifests) {
+                report(path, line_of_key(tree.text(path).unwrap_or_default(), &key), text);
+            }
             if ours.contains(package.as_str()) && !allowed.contains(&package.as_str()) {
                 let line = line_of_key(tree.text(path).unwrap_or_default(), &key);
                 report(
@@ -247,6 +257,27 @@ pub(crate) fn check(tree: &Tree, report: &mut Report<'_>) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// What is wrong with a package in this place using that one, by their wings.
+fn crosses(path: &str, name: &str, used: &str, all: &[(&String, String, Table)]) -> Option<String> {
+    let (used_path, _, _) = all.iter().find(|(_, known, _)| known == used)?;
+    let wing = |path: &str| {
+        path.split('/')
+            .next()
+            .filter(|folder| WINGS.contains(folder))
+            .map(str::to_owned)
+    };
+    let (own, other) = (wing(path), wing(used_path)?);
+    match own {
+        Some(own) if own != other => Some(format!(
+            "`{name}` of {own}/ must not depend on `{used}` of {other}/: what two wings share belongs in {KIT}/"
+        )),
+        None if path.starts_with(&format!("{KIT}/")) => Some(format!(
+            "`{name}` of {KIT}/ must not depend on `{used}` of {other}/: wings use the kit"
+        )),
+        _ => None,
+    }
 }
 
 /// What the deciding crates reach through other people's crates.
@@ -373,6 +404,28 @@ mod tests {
                 "{dependency}"
             );
         }
+    }
+
+    #[test]
+    fn a_wing_that_uses_another_is_found_and_so_is_the_kit() {
+        let root = "[workspace]\nmembers = [\"lab/arm\", \"fleet/rover\", \"kit/drive\"]\n";
+        let package = |name: &str| format!("[package]\nname = \"{name}\"\n");
+        let faults = |arm: &str, drive: &str| {
+            let (arm, drive) = (package("mom-arm") + arm, package("mom-drive") + drive);
+            let files = [
+                ("Cargo.toml", root),
+                ("lab/arm/Cargo.toml", arm.as_str()),
+                ("fleet/rover/Cargo.toml", &package("mom-rover")),
+                ("kit/drive/Cargo.toml", &drive),
+            ];
+            found(check, &files).len()
+        };
+        let uses = |name: &str| format!("[dependencies]\n{name}.workspace = true\n");
+        // Each breaks its row of ARROWS as well.
+        assert_eq!(faults("", ""), 0);
+        assert_eq!(faults(&uses("mom-rover"), ""), 2);
+        assert_eq!(faults("", &uses("mom-rover")), 2);
+        assert_eq!(faults(&uses("mom-drive"), ""), 1);
     }
 
     #[test]

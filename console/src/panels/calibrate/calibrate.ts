@@ -1,4 +1,4 @@
-// The agent that calibrates cameras (peers/calibrate): how it is asked, and what it tells.
+// The agent that calibrates cameras (lab/calibrate): how it is asked, and what it tells.
 import { number } from "../../hub/fields.js";
 import { texts } from "../../texts/index.js";
 import type { PlainFields } from "../../worker/protocol.js";

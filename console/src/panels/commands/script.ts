@@ -1,4 +1,4 @@
-// The devices' scripts, read as the devices read them (peers/arm/src/script.rs, peers/camera/src/pan/script.rs), so that mistakes show while one types.
+// The devices' scripts, read as the devices read them (lab/arm/src/script.rs, lab/camera/src/pan/script.rs), so that mistakes show while one types.
 
 export type Language = "arm" | "mount";
 

@@ -1,4 +1,4 @@
-// The objects of a model: all of them at first, then what differs (peers/model).
+// The objects of a model: all of them at first, then what differs (lab/model).
 import { fields, flag, list, number, text, time } from "../../hub/fields.js";
 import type { Plain, PlainFields } from "../../worker/protocol.js";
 

@@ -1,4 +1,4 @@
-// The agent that sees (peers/servo), which puts one block beside another.
+// The agent that sees (lab/servo), which puts one block beside another.
 import { number } from "../../hub/fields.js";
 import { texts } from "../../texts/index.js";
 import type { PlainFields } from "../../worker/protocol.js";

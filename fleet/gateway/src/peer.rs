@@ -1,0 +1,241 @@
+//! The gateway as a peer: each robot's contexts, and the robot between its channel and its wire.
+
+use std::future::Future;
+use std::sync::Arc;
+use std::time::Duration;
+
+use mom_brs::Frame;
+use mom_brs::Table;
+use mom_brs::file::EXTENDED;
+use mom_client::{Channel, Client, ClientError, Code, Path};
+use mom_wheeled::{ensure_session, enter, enter_status, stay};
+use tokio::task::JoinSet;
+use tokio::time::timeout;
+
+use crate::crew::{Changes, Crew};
+use crate::editor::Editor;
+use crate::station::Heard;
+
+/// Robots of one connection. Each of them has its peer join a session, a token and a channel, and a peer joins 1024 contexts, unless
+/// the hub's file says otherwise.
+pub(crate) const ROBOTS_PER_CONNECTION: usize = 256;
+/// So long a hub may take to let a robot leave.
+const LEAVING: Duration = Duration::from_secs(1);
+
+/// How many connections to the hub so many robots need.
+#[must_use]
+pub fn connections(robots: usize) -> usize {
+    robots.div_ceil(ROBOTS_PER_CONNECTION).max(1)
+}
+
+/// What a gateway makes of its robots at the hub.
+#[derive(Debug, Clone)]
+pub struct GatewayOptions {
+    /// The session of the fleet: robot 7 is `/fleet/7`, with a channel `robot` and a token `token`; the token of a group is `/fleet/GROUP/token`.
+    pub session: String,
+    /// One token for all robots of this gateway, which are driven together; none: each group and each robot of none has its own.
+    /// A token guards 256 channels at most.
+    pub together: Option<String>,
+    /// The manager of tokens that are made, by its name in the hub's configuration; none: that of the session.
+    pub manager: Option<String>,
+    /// The commands that the robots know.
+    pub table: &'static Table,
+}
+
+impl Default for GatewayOptions {
+    /// `/fleet`, a token for each robot with the manager of the session, and all commands of ours.
+    fn default() -> Self {
+        Self {
+            session: "/fleet".to_owned(),
+            together: None,
+            manager: None,
+            table: &EXTENDED,
+        }
+    }
+}
+
+impl GatewayOptions {
+    /// The channel of a robot's commands and states.
+    #[must_use]
+    pub fn channel(&self, unit: u32) -> String {
+        format!("{}/{unit}/robot", self.session)
+    }
+
+    /// The token of a robot: that of all, that of its group, or its own.
+    #[must_use]
+    pub fn token(&self, unit: u32, group: Option<&str>) -> String {
+        match (&self.together, group) {
+            (Some(token), _) => token.clone(),
+            (None, Some(group)) => format!("{}/{group}/token", self.session),
+            (None, None) => format!("{}/{unit}/token", self.session),
+        }
+    }
+
+    /// The channel in which people see and edit the fleet's file, where the hub has it.
+    #[must_use]
+    pub fn file(&self) -> String {
+        format!("{}/file", self.session)
+    }
+
+    /// The channel in which every robot's newest state is.
+    #[must_use]
+    pub fn status(&self) -> String {
+        format!("{}/status", self.session)
+    }
+}
+
+/// What is heard of a robot over its wire.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum News {
+    /// It takes commands.
+    Linked,
+    /// It does not any more, for this reason.
+    Lost(String),
+    /// It never did since, for this reason, which is told once until it is another one.
+    Unreached(String),
+    /// It has said this.
+    Reply(Frame),
+}
+
+/// The wire to one robot.
+pub struct RobotWire {
+    /// The robot's number.
+    pub unit: u32,
+    /// With whom it is driven together.
+    pub group: Option<String>,
+    /// What is heard of it, in order.
+    pub(crate) heard: Heard,
+    /// Sends it a frame; why it was not sent.
+    pub send: Box<dyn Fn(Frame) -> Result<(), String> + Send + Sync>,
+    /// Ends its connection, and drops what is under way on it.
+    pub give_up: Box<dyn Fn() + Send + Sync>,
+    /// Connects it (true), or leaves it to others: a robot has one base station at a time.
+    pub connect: Box<dyn Fn(bool) + Send + Sync>,
+}
+
+/// Has the robots of these lines obey at the hub, until `shutdown` is done. Then they stand, and are waited for, a second at most.
+///
+/// What is missing of their contexts is made first. There are as many clients as [`connections`] says; they share the robots. A robot
+/// whose channel is gone, as it was deleted or the hub began anew, stands until that is back, and the others go on; the gateway makes it
+/// if it can. What comes of `changes` is taken over meanwhile.
+///
+/// # Errors
+///
+/// A context that cannot be made or joined at the beginning, or connections that are closed for good.
+pub async fn run(
+    clients: Vec<Client>,
+    lines: Vec<RobotWire>,
+    options: GatewayOptions,
+    changes: Option<Changes>,
+    shutdown: impl Future<Output = ()>,
+) -> Result<(), ClientError> {
+    let Some(first) = clients.first() else {
+        return Err(ClientError::Connection(
+            "the gateway has no connection".to_owned(),
+        ));
+    };
+    let options = Arc::new(options);
+    ensure_session(first, &options.session).await?;
+    // Each stays in it for as long as this lives.
+    let mut statuses = JoinSet::new();
+    for client in &clients {
+        let status = enter_status(client, &options.status()).await?;
+        let (client, path) = (client.clone(), options.status());
+        statuses.spawn(stay(
+            status,
+            move || {
+                let (client, path) = (client.clone(), path.clone());
+                async move { enter_status(&client, &path).await }
+            },
+            drop,
+        ));
+    }
+    let mut changes = changes;
+    if let Some(changes) = &mut changes
+        && let Some(file) = changes.file.take()
+    {
+        let editor = Editor {
+            client: first.clone(),
+            options: Arc::clone(&options),
+            file,
+            present: changes.present.subscribe(),
+            most: clients.len() * ROBOTS_PER_CONNECTION,
+        };
+        statuses.spawn(editor.serve());
+    }
+    let mut crew = Crew::new(clients.clone(), Arc::clone(&options), lines.len());
+    let share = lines.len().div_ceil(clients.len()).max(1);
+    let mut entered = Ok(());
+    for (line, number) in lines.into_iter().zip(0..) {
+        let Some(place) = crew.place(&line, number / share) else {
+            continue;
+        };
+        let channel = match place.enter().await {
+            Ok(channel) => Some(channel),
+            // The others need not wait for that one's end.
+            Err(error) if error.code() == Some(&Code::OCCUPIED) => None,
+            Err(error) => {
+                entered = Err(error);
+                break;
+            }
+        };
+        crew.live(place, line, number / share, channel);
+    }
+    let result = match entered {
+        Ok(()) => {
+            tracing::info!(peer = first.name(), connections = clients.len(), robots = crew.len(), session = %options.session, "the gateway is ready");
+            crew.serve(changes, shutdown).await
+        }
+        Err(error) => Err(error),
+    };
+    crew.end().await;
+    drop(statuses);
+    for client in clients {
+        client.close().await;
+    }
+    result
+}
+
+/// Where a robot is at the hub.
+#[derive(Debug, Clone)]
+pub(crate) struct RobotSite {
+    pub(crate) client: Client,
+    pub(crate) options: Arc<GatewayOptions>,
+    pub(crate) unit: u32,
+    pub(crate) group: Option<String>,
+}
+
+impl RobotSite {
+    /// Makes what is missing of the robot's contexts, and joins its channel as its device.
+    pub(crate) async fn enter(&self) -> Result<Channel, ClientError> {
+        let RobotSite {
+            client,
+            options,
+            unit,
+            group,
+        } = self;
+        ensure_session(client, &options.session).await?;
+        if let Some(group) = group {
+            ensure_session(client, &format!("{}/{group}", options.session)).await?;
+        }
+        let path = format!("{}/{unit}", options.session);
+        let token = options.token(*unit, group.as_deref());
+        enter(client, &path, &token, options.manager.as_deref()).await
+    }
+
+    /// Leaves the robot's contexts; a hub that does not answer is not waited for long.
+    pub(crate) async fn leave(&self) {
+        let path = format!("{}/{}", self.options.session, self.unit);
+        let leaving = async { self.client.session(&path).await?.leave().await };
+        match timeout(LEAVING, leaving).await {
+            Ok(Ok(())) => {}
+            Ok(Err(error)) => tracing::warn!(unit = self.unit, %error, "the robot's contexts were not left"),
+            Err(_) => tracing::warn!(unit = self.unit, "the robot's contexts were not left in time"),
+        }
+    }
+
+    /// The channel of all states; none if the session's path is none.
+    pub(crate) fn status(&self) -> Option<Path> {
+        Path::parse(&self.options.status()).ok()
+    }
+}
