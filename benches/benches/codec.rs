@@ -1,4 +1,4 @@
-//! What the codecs read and write, in detail: `cargo bench -p mom-benches --bench codec`.
+//! What the codecs read and write, in detail: `cargo bench --manifest-path benches/Cargo.toml --bench codec`.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use mom_benches::codecs::{Coding, SIZES};

@@ -1,4 +1,4 @@
-//! What the hub decides, in detail: `cargo bench -p mom-benches --bench hub`.
+//! What the hub decides, in detail: `cargo bench --manifest-path benches/Cargo.toml --bench hub`.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use mom_benches::decisions::{Admissions, Decisions};

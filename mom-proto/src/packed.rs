@@ -14,7 +14,7 @@ const SMALLEST: usize = 512;
 /// Of larger content this much is tried first, from its middle: pictures and what is compressed already cost no more than that.
 const SAMPLE: usize = 4096;
 
-/// The level of zstd; `cargo bench -p mom-benches --bench compression` compares some.
+/// The level of zstd; `cargo bench --manifest-path benches/Cargo.toml --bench compression` compares some.
 const LEVEL: i32 = 1;
 
 thread_local! {

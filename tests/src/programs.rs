@@ -47,7 +47,15 @@ pub fn program(name: &str) -> PathBuf {
 /// If they cannot be built.
 pub fn build(packages: &[&str]) -> PathBuf {
     let packages = packages.iter().flat_map(|package| ["-p", package]);
-    cargo_build(["--bins"].into_iter().chain(packages))
+    cargo_build("", ["--bins"].into_iter().chain(packages))
+}
+
+/// The path of a program of the measurements, which are a workspace of their own.
+///
+/// # Panics
+/// If it cannot be built.
+pub fn measuring(package: &str, name: &str) -> PathBuf {
+    cargo_build("benches", ["-p", package, "--bin", name]).join(name)
 }
 
 /// The path of an example of a package, built with the tests' own settings.
@@ -55,11 +63,12 @@ pub fn build(packages: &[&str]) -> PathBuf {
 /// # Panics
 /// If it cannot be built.
 pub fn example(package: &str, name: &str) -> PathBuf {
-    let folder = cargo_build(["-p", package, "--example", name]);
+    let folder = cargo_build("", ["-p", package, "--example", name]);
     folder.join("examples").join(name)
 }
 
-fn cargo_build<'a>(what: impl IntoIterator<Item = &'a str>) -> PathBuf {
+/// Builds this in the workspace of this folder.
+fn cargo_build<'a>(workspace: &str, what: impl IntoIterator<Item = &'a str>) -> PathBuf {
     // `cargo xtask test` has built them all.
     if let Some(folder) = std::env::var_os("MOM_PROGRAMS") {
         return folder.into();
@@ -80,7 +89,7 @@ fn cargo_build<'a>(what: impl IntoIterator<Item = &'a str>) -> PathBuf {
             command.env_remove(name);
         }
     }
-    command.current_dir(project());
+    command.current_dir(project().join(workspace));
     if folder.ends_with("release") {
         command.arg("--release");
     }

@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::Result;
 
 use crate::command::{cargo, line, shows, succeeds};
-use crate::{console, instructions, test, tidy};
+use crate::{console, instructions, measuring, test, tidy};
 
 /// One step that is a cargo command.
 struct Step {
@@ -68,6 +68,9 @@ pub(crate) fn run(root: &Path) -> Result<bool> {
         counts = Some(result);
         Ok(passed)
     })?;
+    let measures = timed("measuring", "cargo xtask measuring", || {
+        measuring::run_if_changed(root)
+    })?;
     // Before the closing line, and also where a test failed: both are told in one run.
     let kept = timed("instructions", "cargo xtask instructions", || {
         instructions::run_if_changed(root)
@@ -76,7 +79,7 @@ pub(crate) fn run(root: &Path) -> Result<bool> {
         counts.show_failures();
         println!("{counts}");
     }
-    Ok(passed && kept)
+    Ok(passed && measures && kept)
 }
 
 /// Licences, bans and sources. Advisories are left out: they need a download, and change while the code does not.

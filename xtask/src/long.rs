@@ -1,4 +1,4 @@
-//! `cargo xtask long`: what takes too long for each change: the broker's threads in many orders, properties with new seeds, random logs by the thousand, minutes of random load, a thousand lost
+//! `cargo xtask long`: what takes too long for each change: the broker's threads in many orders, the measurements' own tests, properties with new seeds, random logs by the thousand, minutes of random load, a thousand lost
 //! connections on each door, minutes of large messages that wait between short heartbeats, minutes of a thousand robots, a million
 //! packets of a mirrored one, and two thousand trials of the motion oracle.
 
@@ -8,7 +8,7 @@ use std::process::Command;
 use anyhow::Result;
 
 use crate::command::{cargo, line, shows};
-use crate::shuttle;
+use crate::{measuring, shuttle};
 
 /// Packets of each direction: a million of both.
 const MILLION_OF_BOTH: &str = "500000";
@@ -21,7 +21,7 @@ const SHORTEST_BEAT: &str = "100";
 
 /// Builds and runs them one after the other; whether all went well.
 pub(crate) fn run(root: &Path, minutes: u64) -> Result<bool> {
-    let mut ok = shuttle::run(root, None, None)?;
+    let mut ok = shuttle::run(root, None, None)? & measuring::run(root, false)?;
     for mut step in steps(root, minutes) {
         println!("$ {}", line(&step));
         ok &= shows(&mut step)?;

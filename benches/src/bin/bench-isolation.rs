@@ -14,8 +14,8 @@ use mom_benches::{Delays, machine};
 use mom_tests::attacks::Attack;
 
 const EXAMPLES: &str = "Examples:
-  cargo build --release -p mom-broker && cargo run --release -p mom-benches --bin bench-isolation
-  cargo run --release -p mom-benches --bin bench-isolation -- --only nils --only crowd --seconds 20";
+  cargo build --release -p mom-broker && cargo run --release --manifest-path benches/Cargo.toml --bin bench-isolation
+  cargo run --release --manifest-path benches/Cargo.toml --bin bench-isolation -- --only nils --only crowd --seconds 20";
 
 /// Stops, commands and renewals at 50/s beside each attack, and beside the same attack on another broker.
 #[derive(Parser)]

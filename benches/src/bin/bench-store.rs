@@ -14,9 +14,9 @@ use mom_benches::{Delays, machine};
 use tempfile::TempDir;
 
 const EXAMPLES: &str = "Examples:
-  cargo run --release -p mom-benches --bin bench-store
-  cargo run --release -p mom-benches --bin bench-store -- --rounds 9 --seconds 1 --tokens 1,64
-  cargo run --release -p mom-benches --bin bench-store -- --pause 20 --directory /mnt/disk
+  cargo run --release --manifest-path benches/Cargo.toml --bin bench-store
+  cargo run --release --manifest-path benches/Cargo.toml --bin bench-store -- --rounds 9 --seconds 1 --tokens 1,64
+  cargo run --release --manifest-path benches/Cargo.toml --bin bench-store -- --pause 20 --directory /mnt/disk
   chrt -r 10 target/release/bench-store     as root: what other programs take of the processors does not count";
 
 /// Measure how fast the store makes grants durable, beside a file that is only written and synced twice.

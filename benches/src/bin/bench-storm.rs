@@ -20,7 +20,7 @@ use mom_tests::raw::{Raw, at};
 use tokio::task::JoinSet;
 
 const EXAMPLES: &str = "Examples:
-  cargo build --release -p mom-broker -p mom-benches --bins && target/release/bench-storm
+  cargo build --release -p mom-broker && cargo run --release --manifest-path benches/Cargo.toml --bin bench-storm
   target/release/bench-storm --peers 2000";
 
 /// Peers that come back at a time.

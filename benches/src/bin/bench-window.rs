@@ -13,9 +13,9 @@ use mom_benches::{Hub, Stream, Topic, broker_folder, machine, start_broker, star
 use mom_proto::codec::Form;
 
 const EXAMPLES: &str = "Examples:
-  cargo build --release -p mom-broker && cargo run --release -p mom-benches --bin bench-window
-  cargo run --release -p mom-benches --bin bench-window -- --payload 16384 --window 16,256 --runs 5
-  cargo run --release -p mom-benches --bin bench-window -- --broker old/mom-broker --broker new/mom-broker --runs 10";
+  cargo build --release -p mom-broker && cargo run --release --manifest-path benches/Cargo.toml --bin bench-window
+  cargo run --release --manifest-path benches/Cargo.toml --bin bench-window -- --payload 16384 --window 16,256 --runs 5
+  cargo run --release --manifest-path benches/Cargo.toml --bin bench-window -- --broker old/mom-broker --broker new/mom-broker --runs 10";
 
 /// Deliveries per second of one sender, by payload and by parcels on their way.
 #[derive(Parser)]
@@ -115,7 +115,7 @@ fn run(cli: &Cli) -> Result<()> {
 fn existing(program: &Path) -> Result<&Path> {
     if !program.is_file() {
         bail!(
-            "there is no {}; build it: cargo build --release -p mom-broker -p mom-benches",
+            "there is no {}; build it: cargo build --release -p mom-broker; the relay by --manifest-path benches/Cargo.toml",
             program.display()
         );
     }

@@ -14,9 +14,9 @@ use mom_benches::{Hub, Pace, USER, broker_folder, report, start_broker, start_re
 use mom_proto::codec::Form;
 
 const EXAMPLES: &str = "Examples:
-  cargo run --release -p mom-benches --bin mom-bench              all, into docs/benchmarks.md
-  cargo run --release -p mom-benches --bin mom-bench -- --quick   seconds, to see that all still works
-  cargo run --release -p mom-benches --bin mom-bench -- --only 'round trip' --runs 5";
+  cargo run --release --manifest-path benches/Cargo.toml --bin mom-bench              all, into docs/benchmarks.md
+  cargo run --release --manifest-path benches/Cargo.toml --bin mom-bench -- --quick   seconds, to see that all still works
+  cargo run --release --manifest-path benches/Cargo.toml --bin mom-bench -- --only 'round trip' --runs 5";
 
 /// Whatever happens, a run ends by then, and its children with it.
 const LONGEST: Duration = Duration::from_secs(180);
@@ -129,10 +129,16 @@ fn program(named: Option<&Path>, package: &str, name: &str) -> Result<PathBuf> {
     let beside = own.with_file_name(name);
     // Where cargo started this program, a build of yesterday must not be measured.
     if let Some(cargo) = env::var_os("CARGO") {
+        // This program's own package is in another workspace than those that it measures.
+        let workspace = if package == env!("CARGO_PKG_NAME") {
+            env!("CARGO_MANIFEST_DIR").into()
+        } else {
+            root()
+        };
         let mut build = Command::new(cargo);
         build
             .args(["build", "--quiet", "--package", package, "--bin", name])
-            .current_dir(root());
+            .current_dir(workspace);
         if !cfg!(debug_assertions) {
             build.arg("--release");
         }

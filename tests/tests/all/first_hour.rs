@@ -1,11 +1,11 @@
-//! What the lab and README print is what a newcomer types: all of it runs, and runs again.
+//! What the lab prints and README has is what a newcomer types: all of it runs, and runs again.
 
 use std::path::PathBuf;
 use std::process::{Command, Output, Stdio};
 
 use mom_client::{Client, Event};
 use mom_tests::lab;
-use mom_tests::programs::{PATIENCE, Running, program, project, text, turn};
+use mom_tests::programs::{PATIENCE, Running, example, program, project, text, turn};
 use tokio::io::copy_bidirectional;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::spawn_blocking;
@@ -57,10 +57,15 @@ impl Lab {
     }
 }
 
-/// The script of README.
+/// The text of a page.
+fn page(path: &str) -> String {
+    std::fs::read_to_string(project().join(path)).expect("it is there")
+}
+
+/// The script of the lab's page.
 fn script() -> String {
-    let readme = std::fs::read_to_string(project().join("README.md")).expect("it is there");
-    let block = readme.split("`pick.txt` is a script").nth(1);
+    let lab = page("docs/lab.md");
+    let block = lab.split("`pick.txt` is a script").nth(1);
     let block = block.and_then(|rest| rest.split("```").nth(1)).expect("a block");
     block.trim_start().to_owned()
 }
@@ -91,8 +96,8 @@ fn what_is_printed_runs_and_runs_again() {
             tried += 1;
         }
         assert!(tried >= 5, "{:?}", lab.commands);
-        let readme = format!("cat > pick.txt <<'END'\n{script}END\n{mom} run pick.txt");
-        check(&lab.type_as(alice, &readme), "README's pick.txt");
+        let typed = format!("cat > pick.txt <<'END'\n{script}END\n{mom} run pick.txt");
+        check(&lab.type_as(alice, &typed), "the lab page's pick.txt");
         // Bob waits while alice holds it, as the lab proposes; each ends by Ctrl-C.
         let grabs: Vec<&String> = lab
             .commands
@@ -130,10 +135,64 @@ fn what_is_printed_runs_and_runs_again() {
     assert_eq!(lab.running.wait().code(), Some(0));
 }
 
-/// The blocks of README's section on a broker of one's own, by language and in order.
+/// README's block in a language, with this hub for that of the lab.
+fn program_of_readme(language: &str, hub: &str) -> String {
+    let readme = page("README.md");
+    let block = readme.split(&*format!("```{language}\n")).nth(1);
+    let block = block.and_then(|rest| rest.split("```").next()).expect("a block");
+    assert!(block.contains("mom://localhost"), "{block}");
+    block.replace("mom://localhost", hub)
+}
+
+/// Each drives the arm of a lab, one after the other: a token that is not given back would refuse the next one.
+#[test]
+fn the_programs_of_readme_drive_the_arm() {
+    let example_text = page("mom-client/examples/drive.rs");
+    let (_, code) = example_text.split_once('\n').expect("a heading");
+    let code = code.split("\n/// The lab's address").next().expect("its main");
+    let main = program_of_readme("rust", "mom://localhost").replace("\"mom://localhost\"", "hub()");
+    assert_eq!(code.trim(), main.trim(), "README has the example of mom-client");
+    let lab = Lab::start();
+    let (_, hub) = lab.people[0]
+        .split_once("MOM_HUB=")
+        .expect("the lab says where it is");
+    let hub = hub
+        .split_whitespace()
+        .next()
+        .expect("an address")
+        .replace("bin://", "mom://");
+    let folder = tempfile::tempdir().expect("a folder");
+    let python = folder.path().join("drive.py");
+    std::fs::write(&python, program_of_readme("python", &hub)).expect("written");
+    let script = folder.path().join("drive.mjs");
+    let client = project().join("clients/js/dist/mom-client.js");
+    let client = format!("\"{}\"", client.display());
+    let text_of_js = program_of_readme("js", &hub).replace("\"mom-client\"", &client);
+    std::fs::write(&script, text_of_js).expect("written");
+    let mut with_python = Command::new(project().join("target/python/bin/python"));
+    with_python
+        .arg(python)
+        .env("PYTHONPATH", project().join("clients/python/src"));
+    let mut with_node = Command::new("node");
+    with_node.arg(script);
+    for mut program in [
+        Command::new(example("mom-client", "drive")),
+        with_python,
+        with_node,
+    ] {
+        let output = program
+            .env("MOM_HUB", &hub)
+            .stdin(Stdio::null())
+            .output()
+            .expect("it starts");
+        check(&output, &format!("{program:?}"));
+    }
+}
+
+/// The blocks of the section on a broker of one's own, by language and in order.
 fn own_broker(language: &str) -> Vec<String> {
-    let readme = std::fs::read_to_string(project().join("README.md")).expect("it is there");
-    let section = readme.split("## A broker for your own devices").nth(1);
+    let install = page("docs/install.md");
+    let section = install.split("## A broker for your own devices").nth(1);
     let section = section
         .and_then(|rest| rest.split("\n## ").next())
         .expect("a section");
@@ -156,7 +215,7 @@ async fn where_it_listens(log: PathBuf) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_broker_of_one_s_own_runs_as_readme_says() {
+async fn a_broker_of_one_s_own_runs_as_its_page_says() {
     let bin = spawn_blocking(|| ["mom", "mom-broker", "mom-arm"].map(program))
         .await
         .expect("built");

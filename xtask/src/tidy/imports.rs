@@ -116,7 +116,6 @@ const ARROWS: &[(&str, May)] = &[
     ),
     ("mom-trace", May::Use(&[])),
     ("mom-wheels", May::Use(&["mom-trace"])),
-    ("mom-radio", May::Use(&[])),
     ("mom-sound", May::Use(&["mom-rsp"])),
     (
         "mom-linuxbot",
@@ -134,10 +133,6 @@ const ARROWS: &[(&str, May)] = &[
     (
         "mom-servo",
         May::Use(&["mom-client", "mom-drive", "mom-vision", "mom-program"]),
-    ),
-    (
-        "mom-rehearsal",
-        May::Use(&["mom-arm", "mom-camera", "mom-device", "mom-servo", "mom-vision"]),
     ),
     (
         "mom",
@@ -185,12 +180,6 @@ const ARROWS: &[(&str, May)] = &[
     ("mom-program", May::Use(&["mom-client", "mom-pages"])),
     ("mom-tests", May::UseAll),
     ("mom-cases", May::Use(&[])),
-    ("mom-benches", May::UseAll),
-    ("mom-experiments", May::UseAll),
-    (
-        "mom-rivals",
-        May::Use(&["mom-proto", "mom-plots", "mom-tests", "mom-benches"]),
-    ),
     ("xtask", May::Use(&[])),
 ];
 

@@ -1,0 +1,119 @@
+//! `cargo xtask measuring`: format, lints and tests of the measurements, which are a workspace of their own below `benches`.
+//!
+//! They measure nearly all of the product, so they are checked again when its code has changed; the verdict is stored with a hash of that.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Context as _, Result};
+use toml::Table;
+
+use crate::command::{cargo, line, shows};
+use crate::verdict::{self, SOURCES};
+
+/// The workspace.
+pub(crate) const FOLDER: &str = "benches";
+/// The stored verdict.
+const FILE: &str = "benches/checked.toml";
+
+const HEAD: &str = "\
+# The measurements passed their lints and tests with the code of this hash, by this compiler (`cargo xtask measuring`).
+# CI checks them again only where it differs: `cargo xtask measuring --write` stores that they pass.
+";
+
+/// Checks them, unless they passed with the very same code; whether they pass.
+pub(crate) fn run_if_changed(root: &Path) -> Result<bool> {
+    if stored(root)? == verdict::sources(root, counts_for)? {
+        println!("{FILE} has the verdict on this code: `cargo xtask measuring` checks again");
+        return Ok(true);
+    }
+    run(root, false)
+}
+
+/// Checks them; whether they pass, which is stored if asked for.
+pub(crate) fn run(root: &Path, write: bool) -> Result<bool> {
+    for mut step in steps(root) {
+        println!("$ {} ({FOLDER})", line(&step));
+        if !shows(&mut step)? {
+            return Ok(false);
+        }
+    }
+    if write {
+        let text = format!("{HEAD}{SOURCES} = \"{}\"\n", verdict::sources(root, counts_for)?);
+        fs::write(root.join(FILE), text).with_context(|| format!("{FILE} cannot be written"))?;
+        println!("stored in {FILE}");
+    }
+    Ok(true)
+}
+
+fn steps(root: &Path) -> [Command; 4] {
+    [
+        &["fmt", "--all", "--", "--check"][..],
+        &[
+            "clippy",
+            "--workspace",
+            "--all-targets",
+            "--locked",
+            "--",
+            "-D",
+            "warnings",
+        ],
+        // The programs that their tests start.
+        &["build", "--workspace", "--bins", "--locked"],
+        &["test", "--workspace", "--locked", "--no-fail-fast"],
+    ]
+    .map(|args| {
+        let mut step = cargo(&root.join(FOLDER));
+        step.args(args);
+        step
+    })
+}
+
+fn stored(root: &Path) -> Result<String> {
+    let text = fs::read_to_string(root.join(FILE)).unwrap_or_default();
+    let table: Table = text.parse().with_context(|| format!("{FILE} is not TOML"))?;
+    Ok(table
+        .get(SOURCES)
+        .and_then(toml::Value::as_str)
+        .unwrap_or_default()
+        .to_owned())
+}
+
+/// Whether the measurements are built from this file.
+fn counts_for(path: &str) -> bool {
+    let (top, _) = path.split_once('/').unwrap_or(("", path));
+    let is_source = path.ends_with(".rs") || path.ends_with("Cargo.toml") || path.ends_with("Cargo.lock");
+    let is_test = path.contains("/tests/") || path.ends_with("/tests.rs");
+    let is_own = top == FOLDER;
+    is_source && (is_own || !is_test) && top != "xtask" && !path.contains("/fuzz/")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_they_are_built_from_counts() {
+        for path in [
+            "Cargo.toml",
+            "benches/Cargo.lock",
+            "benches/tests/smoke.rs",
+            "mom-hub/src/lib.rs",
+            "tests/src/lib.rs",
+            "lab/servo/src/control.rs",
+        ] {
+            assert!(counts_for(path), "{path}");
+        }
+        for path in [
+            "xtask/src/main.rs",
+            "tests/tests/all/main.rs",
+            "mom-hub/src/tree/tests.rs",
+            "docs/design.md",
+            "protocols/brs/fuzz/Cargo.toml",
+            "console/src/panels.ts",
+        ] {
+            assert!(!counts_for(path), "{path}");
+        }
+    }
+}
