@@ -1,0 +1,10 @@
+//! What this peer is at the hub, behind one lock: what it waits for, where it is, who listens, and what it holds.
+
+pub(crate) mod answers;
+pub(crate) mod guards;
+pub(crate) mod handover;
+pub(crate) mod pending;
+pub(crate) mod shared;
+pub(crate) mod subscribers;
+pub(crate) mod waits;
+pub(crate) mod wanted;

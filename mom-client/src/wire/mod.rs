@@ -1,0 +1,7 @@
+//! What is said over one connection: the queue of what leaves, stamps of time, and proofs.
+
+pub(crate) mod clock;
+pub(crate) mod ids;
+pub(crate) mod key;
+pub(crate) mod outbox;
+pub(crate) mod proof;
