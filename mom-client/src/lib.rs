@@ -34,30 +34,31 @@ mod link;
 mod peer;
 mod refusal;
 mod said;
-mod trace;
 mod wire;
+mod words;
 
 pub use contexts::builder::Builder;
 pub use contexts::channel::Channel;
 pub use contexts::client::Client;
 pub use contexts::consults::{Consult, Consults};
+pub use contexts::events::Events;
 pub use contexts::message::{Message, Receipt};
 pub use contexts::session::Session;
 pub use contexts::stops::{DeviceAnswer, Rest, Standing, StopReport, Stopping, ToldChannel};
 pub use control::ask_owner::AskOwner;
 pub use control::give::{Give, Given, Lapsed};
-pub use control::grab::{Grab, Place};
-pub use control::guard::{Lost, TokenGuard};
+pub use control::grab::Grab;
+pub use control::guard::TokenGuard;
 pub use control::holding::After;
 pub use control::inhibit::InhibitGuard;
 pub use control::token::Token;
 pub use device::gate::{FenceGate, GuardState, Stale};
-pub use device::latch::{Held, Latch, Reaction, StopState};
+pub use device::latch::{Held, Latch, Reaction};
 pub use device::predict::{Model, Prediction, Predictor};
 pub use device::state_gate::{BASED_ON, StateGate};
 pub use error::{ClientError, ErrorKind};
 pub use link::probe::Probe;
-pub use link::reconnect::{LinkState, Reconnect};
+pub use link::reconnect::Reconnect;
 pub use link::report::{Report, report};
 pub use mom_net::{Address, DEFAULT_PORT, Identity, NetError, Trust};
 pub use mom_proto::{
@@ -65,12 +66,13 @@ pub use mom_proto::{
     MessageRate, Parcel, Path, TRACE, Thinning, Time, TraceParent, Value, WireError, event, from_value,
     to_value, visible,
 };
-pub use peer::guards::Loan;
-pub use peer::subscribers::Events;
+pub use peer::link_state::LinkState;
 pub use refusal::{Refusal, ordinal, plain_duration};
 pub use said::events::Event;
 pub use said::info::{ContextInfo, Member};
+pub use said::ownership::{Loan, Lost, Place};
 pub use said::stats::{AgeStats, ChannelStats, ConnectedPeer, Counts, MemoryStats, PeerStats, Stats};
+pub use said::stop_state::StopState;
 pub use said::token_info::{Asking, Delegated, Offered, Reserved, TokenInfo, Waiting};
 pub use wire::clock::{Age, HubClock};
 pub use wire::key::Key;

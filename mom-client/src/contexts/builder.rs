@@ -14,10 +14,10 @@ use crate::contexts::client::{Client, Handle};
 use crate::device::installation::Installation;
 use crate::link::doors::Doors;
 use crate::link::login::{Connector, Local};
-use crate::link::survive::LinkSecret;
 use crate::link::{driver, reconnect};
 use crate::peer::shared::{Settings, Shared};
 use crate::wire::clock::{HubClock, Wall};
+use crate::wire::link_secret::LinkSecret;
 use crate::wire::proof::Credentials;
 use crate::{ClientError, Key, Proof, Reconnect, Report, TokenSource};
 
@@ -54,6 +54,8 @@ pub struct Builder {
     fault: Option<ClientError>,
     wall: Wall,
     settings: Settings,
+    /// How to reconnect; none = not at all.
+    reconnect: Option<Reconnect>,
     waits: bool,
     /// Who reports failures.
     reporter: Option<(String, String)>,
@@ -98,10 +100,10 @@ impl Builder {
             settings: Settings {
                 request_timeout: REQUEST_TIMEOUT,
                 connect_timeout: CONNECT_TIMEOUT,
-                reconnect: Some(Reconnect::default()),
                 event_buffer: 1024,
                 installation: Installation::unknown(),
             },
+            reconnect: Some(Reconnect::default()),
             waits: false,
             reporter: None,
         }
@@ -241,13 +243,13 @@ impl Builder {
 
     /// How to reconnect after a lost link; [`Reconnect::default`] by default.
     pub fn reconnect(mut self, reconnect: Reconnect) -> Builder {
-        self.settings.reconnect = Some(reconnect);
+        self.reconnect = Some(reconnect);
         self
     }
 
     /// A lost link closes the client.
     pub fn no_reconnect(mut self) -> Builder {
-        self.settings.reconnect = None;
+        self.reconnect = None;
         self
     }
 
@@ -305,7 +307,7 @@ impl Builder {
             HubPlace::Here(local) => Connector::Local(local),
         };
         let ids = AtomicU64::new(1);
-        let patience = self.settings.reconnect.as_ref().filter(|_| self.waits);
+        let patience = self.reconnect.as_ref().filter(|_| self.waits);
         let reporter = Mutex::new(self.reporter);
         let connect = || async {
             let connected = connector
@@ -331,12 +333,14 @@ impl Builder {
             ids,
             connected.welcome,
         );
-        shared.begin_link(
-            &mut shared.lock(),
-            secret.filter(|_| shared.settings.reconnect.is_some()),
-        );
+        shared.begin_link(&mut shared.lock(), secret.filter(|_| self.reconnect.is_some()));
         let shared = Arc::new(shared);
-        let drive = driver::run(Arc::clone(&shared), connector, connected.transceiver);
+        let drive = driver::run(
+            Arc::clone(&shared),
+            connector,
+            self.reconnect,
+            connected.transceiver,
+        );
         tokio::spawn(drive);
         Ok(Client::of(Arc::new(Handle { shared })))
     }
@@ -400,6 +404,7 @@ impl fmt::Debug for Builder {
             .debug_struct("Builder")
             .field("credentials", &self.credentials)
             .field("settings", &self.settings)
+            .field("reconnect", &self.reconnect)
             .finish_non_exhaustive()
     }
 }

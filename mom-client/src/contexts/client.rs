@@ -9,15 +9,15 @@ use tokio::sync::watch;
 use tokio::time::timeout;
 use tracing::Instrument as _;
 
-use crate::link::login::Welcome;
 use crate::peer::shared::{Shared, verb};
 use crate::peer::wanted::Terms;
-use crate::said::info::{map_of, millis};
-use crate::trace;
 use crate::wire::proof::{Credentials, is_challenge};
+use crate::wire::trace;
+use crate::wire::welcome::Welcome;
+use crate::words::{map_of, millis};
 use crate::{
     Builder, Channel, ClientError, Consults, ContextInfo, Events, HubClock, LinkState, Member, Proof,
-    Session, Stats, Token,
+    Session, Stats,
 };
 
 /// How long a logout may take.
@@ -325,16 +325,6 @@ impl Client {
         self.enter_kind(path, ContextKind::Channel, Some(terms))
             .await
             .map(Channel::new)
-    }
-
-    /// Joins a token, parents first; this gives its events, not ownership.
-    ///
-    /// # Errors
-    /// As [`Client::session`].
-    pub async fn token(&self, path: &str) -> Result<Token, ClientError> {
-        self.enter_kind(path, ContextKind::Token, None)
-            .await
-            .map(Token::new)
     }
 
     /// Events that no other subscription takes, from now on: those of contexts without a proxy, refusals of sends

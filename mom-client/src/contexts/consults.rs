@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use mom_proto::{Family, MAX_ID, Map, Parcel, Path, Value};
 
 use crate::peer::subscribers::EventQueue;
-use crate::said::info::{level, map_of, millis_of, name_list, number, owned, text};
+use crate::words::{level, map_of, millis_of, name_list, number, owned, text};
 use crate::{Age, Client, ClientError, Event};
 
 /// The questions of the hub, from [`Client::consults`] on. They keep the connection alive.

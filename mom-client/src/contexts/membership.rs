@@ -8,7 +8,7 @@ use tokio::time::timeout;
 use crate::contexts::client::{Client, Handle};
 use crate::peer::shared::Shared;
 use crate::peer::wanted::{Terms, Want};
-use crate::said::info::text;
+use crate::words::text;
 use crate::{ClientError, Events};
 
 /// Membership of a context and of all above it. When the last one of a context is dropped, the context is left, after

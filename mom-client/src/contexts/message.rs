@@ -7,7 +7,7 @@ use mom_proto::{Content, Delivery, Family, MAX_ID, Parcel, Path, TRACE, Value, c
 use serde::Serialize;
 
 use crate::error::bad_reply;
-use crate::said::info::{map_of, millis, number};
+use crate::words::{map_of, millis, number};
 use crate::{BASED_ON, Client, ClientError};
 
 /// A message to a channel, from [`Channel::message`](crate::Channel::message).

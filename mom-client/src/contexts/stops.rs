@@ -6,7 +6,7 @@ use mom_proto::{Family, Map, Parcel, Path, STOP, Value};
 
 use crate::error::bad_reply;
 use crate::peer::shared::verb;
-use crate::said::info::{map_of, millis, name_list, number, owned, text};
+use crate::words::{map_of, millis, name_list, number, owned, text};
 use crate::{Client, ClientError, StopState};
 
 /// For how long the hub waits for the word of devices, unless the request says otherwise.

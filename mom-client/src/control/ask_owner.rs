@@ -6,12 +6,11 @@ use std::pin::Pin;
 use std::time::Duration;
 
 use mom_proto::{Family, Map};
-use tokio::sync::oneshot;
 
 use crate::contexts::membership::Membership;
-use crate::peer::pending::AnswerTo;
+use crate::control::owning::owning;
 use crate::peer::shared::verb;
-use crate::said::info::millis;
+use crate::words::millis;
 use crate::{ClientError, TokenGuard};
 
 /// How long an owner may take to answer, by default.
@@ -64,11 +63,7 @@ impl<'a> AskOwner<'a> {
         if let Some(text) = &self.text {
             content.set("text", text.as_str());
         }
-        let (sender, receiver) = oneshot::channel();
-        let waiter = AnswerTo::Obtain {
-            member: self.member.clone(),
-            answer: sender,
-        };
+        let (waiter, receiver) = owning(self.member);
         let parcel = verb(Family::Token, "request", path).content(content);
         shared.obtain(parcel, waiter)?;
         let more = self.within.unwrap_or(WITHIN);

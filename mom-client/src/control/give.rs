@@ -13,9 +13,9 @@ use tokio::sync::{oneshot, watch};
 use crate::contexts::membership::Membership;
 use crate::peer::guards::Hold;
 use crate::peer::handover::{Handover, HandoverPhase};
-use crate::peer::pending::AnswerTo;
+use crate::peer::pending::{AnswerTo, RequestResult};
 use crate::peer::shared::verb;
-use crate::said::info::millis;
+use crate::words::millis;
 use crate::{ClientError, Lost, TokenGuard};
 
 /// A builder of an offer, from [`TokenGuard::give`]: await it to make the offer.
@@ -90,11 +90,14 @@ impl<'a> Give<'a> {
         let path = self.member.path();
         let handover = Handover::new(path, self.to, delegated, Arc::clone(self.hold));
         let (sender, receiver) = oneshot::channel();
-        let waiter = AnswerTo::Give {
-            member: self.member.clone(),
-            handover: Arc::new(handover),
-            answer: sender,
+        let member = self.member.clone();
+        let offered = |_| {
+            let handover = Arc::new(handover);
+            member.shared().lock().handovers.offer(Arc::clone(&handover));
+            Given::new(handover, member)
         };
+        // Before the next parcel is read, so that it misses no event.
+        let waiter = AnswerTo::taker(|_, answer: RequestResult| drop(sender.send(answer.map(offered))));
         let parcel = verb(Family::Token, "give", path).content(content);
         shared.ask(parcel, waiter)?;
         shared.answer(receiver, format!("token give {path}")).await

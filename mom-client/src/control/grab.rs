@@ -6,24 +6,14 @@ use std::pin::{Pin, pin};
 use std::time::Duration;
 
 use mom_proto::{Family, Map, Path};
-use tokio::sync::{oneshot, watch};
+use tokio::sync::watch;
 use tokio::time::sleep;
 
 use crate::contexts::membership::Membership;
-use crate::peer::pending::AnswerTo;
+use crate::control::owning::owning;
 use crate::peer::shared::{Shared, verb};
-use crate::said::info::millis;
-use crate::{ClientError, TokenGuard};
-
-/// The place of a grab in the queue of its token.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct Place {
-    /// 1 for the next.
-    pub place: u64,
-    /// The expected time until its grant, if nobody before it renews; none = unknown.
-    pub expected: Option<Duration>,
-}
+use crate::words::millis;
+use crate::{ClientError, Place, TokenGuard};
 
 /// A builder of a grab, from [`Token::grab`](crate::Token::grab): await it to send it.
 ///
@@ -84,11 +74,7 @@ impl<'a> Grab<'a> {
 
     async fn run(self) -> Result<TokenGuard, ClientError> {
         let (shared, path) = (self.member.shared(), self.member.path());
-        let (sender, receiver) = oneshot::channel();
-        let waiter = AnswerTo::Obtain {
-            member: self.member.clone(),
-            answer: sender,
-        };
+        let (waiter, receiver) = owning(self.member);
         let id = shared.next_id();
         let mut parcel = verb(Family::Token, "grab", path).id(id);
         parcel.content = self.wait.content().map(Into::into);

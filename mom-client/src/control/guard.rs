@@ -7,9 +7,10 @@ use std::time::Duration;
 use mom_proto::Path;
 
 use crate::contexts::membership::Membership;
-use crate::control::holding::{After, Holding, HoldingKind};
+use crate::control::holding::{After, Holding};
 use crate::peer::guards::Hold;
-use crate::{ClientError, Give, Loan};
+use crate::peer::holds::HoldingKind;
+use crate::{ClientError, Give, Loan, Lost};
 
 /// Exclusive control of what a token guards (M28), from [`Token::grab`](crate::Token::grab) on.
 ///
@@ -31,25 +32,6 @@ use crate::{ClientError, Give, Loan};
 /// ```
 pub struct TokenGuard {
     holding: Holding,
-}
-
-/// Why an ownership ended, and who caused it.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Lost {
-    /// A word of [`Reason`](crate::event::Reason), `disconnected` for a lost link, or the code's word of a
-    /// refused renewal.
-    pub reason: String,
-    /// The peer that caused it, if one did.
-    pub by: Option<String>,
-}
-
-impl Lost {
-    pub(crate) fn new(reason: &str, by: Option<String>) -> Lost {
-        Lost {
-            reason: reason.to_owned(),
-            by,
-        }
-    }
 }
 
 impl TokenGuard {

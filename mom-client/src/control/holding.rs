@@ -3,36 +3,13 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_proto::{Family, Parcel, Path};
 use tokio::sync::watch;
 use tokio::time::{Instant, timeout_at};
 
 use crate::contexts::membership::Membership;
 use crate::peer::guards::Hold;
-use crate::peer::shared::verb;
+use crate::peer::holds::HoldingKind;
 use crate::{ClientError, Lost};
-
-/// How a token is held.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum HoldingKind {
-    /// By one peer, which drives.
-    Ownership,
-    /// By several, so that nobody drives.
-    Shared,
-}
-
-impl HoldingKind {
-    /// The request that ends it, for the ownership with this fence if it is known: then it cannot end a later one.
-    pub(crate) fn end(self, path: &Path, fence: Option<u64>) -> Parcel {
-        let name = match self {
-            HoldingKind::Ownership => "release",
-            HoldingKind::Shared => "uninhibit",
-        };
-        let mut parcel = verb(Family::Token, name, path);
-        parcel.fence = fence;
-        parcel
-    }
-}
 
 /// What a release waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

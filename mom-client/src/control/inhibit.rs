@@ -6,8 +6,9 @@ use std::sync::Arc;
 use mom_proto::Path;
 
 use crate::contexts::membership::Membership;
-use crate::control::holding::{Holding, HoldingKind};
+use crate::control::holding::Holding;
 use crate::peer::guards::Hold;
+use crate::peer::holds::HoldingKind;
 use crate::{ClientError, Lost};
 
 /// A part in the shared hold of a token, from [`Token::inhibit`](crate::Token::inhibit) on: nobody can grab the token

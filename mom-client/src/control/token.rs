@@ -1,13 +1,12 @@
 //! A token: what one peer at a time owns (M28).
 
-use mom_proto::{Family, Map, Path};
-use tokio::sync::oneshot;
+use mom_proto::{ContextKind, Family, Map, Path};
 
 use crate::contexts::membership::Membership;
-use crate::peer::pending::AnswerTo;
+use crate::control::owning::{inhibiting, owning};
 use crate::peer::shared::verb;
-use crate::said::info::{map_of, name_list, owned};
-use crate::{AskOwner, ClientError, Events, Grab, InhibitGuard, TokenGuard, TokenInfo};
+use crate::words::{map_of, name_list, owned};
+use crate::{AskOwner, Client, ClientError, Events, Grab, InhibitGuard, TokenGuard, TokenInfo};
 
 /// A token that this peer has joined, until the last of its clones, its events and its guards is dropped.
 ///
@@ -28,6 +27,18 @@ use crate::{AskOwner, ClientError, Events, Grab, InhibitGuard, TokenGuard, Token
 #[derive(Clone, Debug)]
 pub struct Token {
     member: Membership,
+}
+
+impl Client {
+    /// Joins a token, parents first; this gives its events, not ownership.
+    ///
+    /// # Errors
+    /// As [`Client::session`].
+    pub async fn token(&self, path: &str) -> Result<Token, ClientError> {
+        self.enter_kind(path, ContextKind::Token, None)
+            .await
+            .map(Token::new)
+    }
 }
 
 impl Token {
@@ -86,11 +97,7 @@ impl Token {
     /// # Errors
     /// `Refused` with `no-offer` or `denied`, a lost link, a time-out.
     pub async fn accept(&self) -> Result<TokenGuard, ClientError> {
-        let (sender, receiver) = oneshot::channel();
-        let waiter = AnswerTo::Obtain {
-            member: self.member.clone(),
-            answer: sender,
-        };
+        let (waiter, receiver) = owning(&self.member);
         let shared = self.member.shared();
         shared.obtain(verb(Family::Token, "accept", self.path()), waiter)?;
         shared
@@ -145,11 +152,7 @@ impl Token {
     /// # Errors
     /// `Refused` with `held` if another peer owns it, or `denied`, a lost link, a time-out.
     pub async fn inhibit(&self) -> Result<InhibitGuard, ClientError> {
-        let (sender, receiver) = oneshot::channel();
-        let waiter = AnswerTo::Inhibit {
-            member: self.member.clone(),
-            answer: sender,
-        };
+        let (waiter, receiver) = inhibiting(&self.member);
         let shared = self.member.shared();
         shared.inhibit(verb(Family::Token, "inhibit", self.path()), waiter)?;
         shared

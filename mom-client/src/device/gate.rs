@@ -6,7 +6,7 @@ use mom_proto::event as names;
 use mom_proto::{Family, HUB, Map, Parcel, Path, Value};
 use parking_lot::Mutex;
 
-use crate::said::info::{map_of, number, text};
+use crate::words::{map_of, number, text};
 
 /// Refuses messages of earlier owners of a device's token.
 ///

@@ -5,9 +5,10 @@ use mom_proto::{Family, HUB, Map, Parcel, Path, WireError};
 
 use crate::Event;
 use crate::peer::pending::AnswerTo;
-use crate::peer::shared::{Shared, State};
-use crate::said::info::{map_of, number, text};
-use crate::trace;
+use crate::peer::shared::Shared;
+use crate::peer::state::State;
+use crate::wire::trace;
+use crate::words::{map_of, number, text};
 
 /// The message by which a device says how a command goes: `peer` and `id` of the command, `state`.
 const STATUS: &str = "status";

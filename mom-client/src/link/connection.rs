@@ -13,6 +13,7 @@ use tokio::time::{Instant, sleep_until, timeout};
 use crate::link::sending;
 use crate::peer::pending::AnswerTo;
 use crate::peer::shared::{Shared, verb};
+use crate::wire::clock::uptime;
 
 /// How long to wait for the hub's last parcels when nothing more can be written, and for its close after our logout.
 const LAST_WORDS: Duration = Duration::from_secs(1);
@@ -163,22 +164,6 @@ fn renew(shared: &Shared, now: Instant) {
     }
     drop(state);
     shared.outgoing.notify_one();
-}
-
-/// The ms since the machine's start, with those in which it slept.
-pub(crate) fn uptime() -> u64 {
-    #[cfg(target_os = "linux")]
-    let time = {
-        let time = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
-        Duration::try_from(time).unwrap_or_default()
-    };
-    #[cfg(not(target_os = "linux"))]
-    let time = {
-        static START: std::sync::LazyLock<std::time::Instant> =
-            std::sync::LazyLock::new(std::time::Instant::now);
-        START.elapsed()
-    };
-    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
 }
 
 fn stood_still() -> NetError {

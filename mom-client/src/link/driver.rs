@@ -1,43 +1,49 @@
 //! The life of a client: one link after another until it is closed.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_net::{DropReason, Transceiver};
+use mom_net::Transceiver;
 use mom_proto::event as names;
-use mom_proto::{Code, Family, Map, Parcel, Path, WireError};
+use mom_proto::{Code, Family, Path, WireError};
 use tokio::time::sleep;
 
 use crate::link::connection;
-use crate::link::login::{Connector, Welcome};
+use crate::link::login::Connector;
 use crate::link::reconnect::{Attempts, Next};
-use crate::link::survive::{Counted, LinkSecret};
+use crate::peer::joins::join;
 use crate::peer::pending::AnswerTo;
-use crate::peer::shared::{Shared, State, Status, join, verb};
-use crate::wire::outbox::{Capacity, Entry};
+use crate::peer::shared::{Shared, verb};
+use crate::peer::state::Status;
+use crate::wire::link_secret::{Counted, LinkSecret};
+use crate::wire::welcome::Welcome;
 use crate::{ClientError, Event, LinkState, Lost, Reconnect};
 
-/// Drives links until the client is closed.
-pub(crate) async fn run(shared: Arc<Shared>, connector: Connector, first: mom_net::Transceiver) {
+/// Drives links until the client is closed; it reconnects in this way, if at all.
+pub(crate) async fn run(
+    shared: Arc<Shared>,
+    connector: Connector,
+    reconnect: Option<Reconnect>,
+    first: Transceiver,
+) {
     let mut transceiver = first;
     loop {
         let why = connection::run(&shared, transceiver).await;
         tracing::debug!(why, "link ended");
         let closing = shared.lock().closing.take();
-        let reconnect = match (&shared.settings.reconnect, &closing) {
+        let reconnect = match (&reconnect, &closing) {
             _ if *shared.ending.borrow() => return shared.close(None),
             (_, Some(error)) if !error.code.may_reconnect() => return shared.close(closing),
             (None, _) => {
                 let lost = closing.unwrap_or_else(|| WireError::new(Code::DISCONNECTED, why));
                 return shared.close(Some(lost));
             }
-            (Some(reconnect), _) => reconnect.clone(),
+            (Some(reconnect), _) => reconnect,
         };
         if !shared.suspend() {
             shared.lose_link(&why, true);
         }
-        match again(&shared, &connector, &reconnect).await {
+        match again(&shared, &connector, reconnect).await {
             Ok(next) => transceiver = next,
             Err(error) => return shared.close(error),
         }
@@ -228,54 +234,5 @@ impl Shared {
         }
         waiters.into_iter().for_each(|waiter| self.fail(waiter, &closed));
         self.link.send_replace(LinkState::Closed(error));
-    }
-}
-
-impl State {
-    /// Tells of messages that will not be sent; gives their capacity.
-    pub(crate) fn lose(&mut self, messages: &[(Arc<Entry>, DropReason)]) -> Capacity {
-        let mut counts: BTreeMap<(&Path, &str), u64> = BTreeMap::new();
-        let mut capacity = Capacity::default();
-        for (message, reason) in messages {
-            capacity += message.take_capacity();
-            let word = match reason {
-                DropReason::Closed => names::Reason::Disconnected.word(),
-                reason => reason.word(),
-            };
-            match message.path() {
-                Some(path) if *reason == DropReason::Replaced => {
-                    *self.replaced.entry(path.clone()).or_default() += 1;
-                }
-                Some(path) => *counts.entry((path, word)).or_default() += 1,
-                None => {}
-            }
-        }
-        for ((path, word), count) in counts {
-            let event = dropped(path, word, count);
-            self.subscribers.deliver(std::slice::from_ref(path), event);
-        }
-        capacity
-    }
-
-    /// Tells how many messages newer ones have replaced since this was last done.
-    pub(crate) fn tell_replaced(&mut self) {
-        for (path, count) in std::mem::take(&mut self.replaced) {
-            let event = dropped(&path, DropReason::Replaced.word(), count);
-            self.subscribers.deliver(std::slice::from_ref(&path), event);
-        }
-    }
-}
-
-/// The event that the hub would send for parcels dropped on its side.
-pub(crate) fn dropped(path: &Path, reason: &str, count: u64) -> Event {
-    let content = Map::new()
-        .with("reason", reason)
-        .with("count", i64::try_from(count).unwrap_or(i64::MAX));
-    Event::Dropped {
-        reason: reason.to_owned(),
-        count,
-        parcel: Parcel::new(Family::Event, names::DROPPED)
-            .context(path.clone())
-            .content(content),
     }
 }

@@ -6,15 +6,13 @@ use std::time::Duration;
 use mom_proto::{Code, Family, Parcel, Path, WireError};
 use tokio::time::Instant;
 
-use crate::control::holding::HoldingKind;
-use crate::peer::guards::RenewalTerms;
-use crate::peer::pending::AnswerTo;
+use crate::peer::holds::HoldingKind;
+use crate::peer::pending::{AnswerTo, RequestResult};
 use crate::peer::shared::Shared;
 use crate::peer::wanted::JoinPhase;
-use crate::said::info::map_of;
+use crate::said::ownership::RenewalTerms;
+use crate::words::map_of;
 use crate::{ClientError, Event, Lost};
-
-pub(crate) type RequestResult = Result<Parcel, ClientError>;
 
 /// The delay before retrying a renewal that the hub refused with `try-later` but no time.
 const RETRY: Duration = Duration::from_secs(1);
@@ -30,7 +28,7 @@ impl Shared {
         match waiter {
             AnswerTo::Join(path, serial) => self.complete_join(&path, serial, answer),
             AnswerTo::Renewal(path, fence) => self.complete_renewal(&path, fence, answer),
-            waiter => self.settle(waiter, id, answer),
+            waiter => settle(waiter, id, answer),
         }
     }
 
@@ -39,28 +37,7 @@ impl Shared {
         match waiter {
             // The places and guards know already.
             AnswerTo::Join(..) | AnswerTo::Renewal(..) => {}
-            waiter => self.settle(waiter, None, Err(error.clone())),
-        }
-    }
-
-    fn settle(&self, waiter: AnswerTo, id: Option<u64>, answer: RequestResult) {
-        match waiter {
-            // A caller that went away needs no answer.
-            AnswerTo::Caller(sender) => drop(sender.send(answer)),
-            AnswerTo::Obtain {
-                member,
-                answer: sender,
-            } => self.complete_obtain(id, member, sender, answer),
-            AnswerTo::Inhibit {
-                member,
-                answer: sender,
-            } => self.complete_inhibit(member, sender, answer),
-            AnswerTo::Give {
-                member,
-                handover,
-                answer: sender,
-            } => self.complete_give(member, handover, sender, answer),
-            AnswerTo::Join(..) | AnswerTo::Renewal(..) | AnswerTo::Nobody => {}
+            waiter => settle(waiter, None, Err(error.clone())),
         }
     }
 
@@ -139,12 +116,21 @@ impl Shared {
     }
 }
 
-impl crate::peer::shared::State {
+impl crate::peer::state::State {
     /// One join after a lost link is answered.
     fn note_rejoin(&mut self) {
         self.rejoining = self.rejoining.saturating_sub(1);
         if self.rejoining == 0 {
             self.subscribers.deliver_unaddressed(Event::Rejoined);
         }
+    }
+}
+
+fn settle(waiter: AnswerTo, id: Option<u64>, answer: RequestResult) {
+    match waiter {
+        // A caller that went away needs no answer.
+        AnswerTo::Caller(sender) => drop(sender.send(answer)),
+        AnswerTo::Taker(taker) => taker.take(id, answer),
+        AnswerTo::Join(..) | AnswerTo::Renewal(..) | AnswerTo::Nobody => {}
     }
 }

@@ -2,47 +2,14 @@
 
 use std::collections::HashMap;
 use std::sync::Arc;
-use std::time::Duration;
 
-use mom_proto::{Map, Path};
+use mom_proto::Path;
 use parking_lot::Mutex;
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use crate::Lost;
-use crate::said::info::{millis_of, number, text};
-
-/// A lease is renewed at this fraction of it, so that two renewals may fail.
-const RENEW_AT: u32 = 3;
-
-/// How long an ownership lasts without a renewal.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct RenewalTerms {
-    /// Until others may take it.
-    pub(crate) lease: Option<Duration>,
-    /// Until it ends by itself.
-    pub(crate) deadman: Option<Duration>,
-}
-
-/// The hub's terms of a grant.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct GrantTerms {
-    pub(crate) fence: u64,
-    pub(crate) terms: RenewalTerms,
-    pub(crate) delegation: Option<Loan>,
-}
-
-/// The terms of a loan: an ownership that another peer gave and that returns to it (M41).
-#[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct Loan {
-    /// The peer that gave it, and to which it returns.
-    pub from: String,
-    /// Its duration from the grant on; none = unlimited.
-    pub time: Option<Duration>,
-    /// Its number of guarded messages; none = unlimited.
-    pub commands: Option<u64>,
-}
+use crate::said::ownership::{GrantTerms, RenewalTerms};
+use crate::{Loan, Lost};
 
 /// One ownership, from a grab to its loss; or a part in a shared hold, which has the fence 0.
 #[derive(Debug)]
@@ -54,36 +21,6 @@ pub(crate) struct Hold {
     lost: watch::Sender<Option<Lost>>,
     /// The last command that was said under it and of which no device has said how it ended, by its id.
     command: watch::Sender<Option<u64>>,
-}
-
-impl RenewalTerms {
-    pub(crate) fn read(map: &Map) -> RenewalTerms {
-        RenewalTerms {
-            lease: millis_of(map, "lease"),
-            deadman: millis_of(map, "deadman"),
-        }
-    }
-
-    /// Until the next renewal; none = none is needed.
-    fn renewal(self) -> Option<Duration> {
-        let shorter = self.lease.into_iter().chain(self.deadman).min();
-        shorter.map(|time| time / RENEW_AT)
-    }
-}
-
-impl GrantTerms {
-    /// Reads `{fence, lease?, deadman?, from?, for?, commands?}`.
-    pub(crate) fn read(map: &Map) -> Option<GrantTerms> {
-        Some(GrantTerms {
-            fence: number(map, "fence")?,
-            terms: RenewalTerms::read(map),
-            delegation: text(map, "from").map(|from| Loan {
-                from: from.to_owned(),
-                time: millis_of(map, "for"),
-                commands: number(map, "commands"),
-            }),
-        })
-    }
 }
 
 impl Hold {

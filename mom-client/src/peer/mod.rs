@@ -3,8 +3,13 @@
 pub(crate) mod answers;
 pub(crate) mod guards;
 pub(crate) mod handover;
+pub(crate) mod holds;
+pub(crate) mod joins;
+pub(crate) mod link_state;
+pub(crate) mod losses;
 pub(crate) mod pending;
 pub(crate) mod shared;
+pub(crate) mod state;
 pub(crate) mod subscribers;
 pub(crate) mod waits;
 pub(crate) mod wanted;

@@ -1,20 +1,24 @@
 //! Requests without an answer yet, and recent sends that need none.
 
 use std::collections::{HashMap, VecDeque};
-use std::sync::Arc;
+use std::fmt;
 
 use mom_proto::{Parcel, Path};
 use tokio::sync::oneshot;
 
-use crate::contexts::membership::Membership;
-use crate::peer::handover::Handover;
-use crate::{ClientError, Given, InhibitGuard, TokenGuard};
+use crate::ClientError;
 
 /// How many sends are remembered, to report refusals to the right subscribers.
 const RECENT: usize = 1024;
 
-/// Where an answer goes.
-pub(crate) type Answering<T> = oneshot::Sender<Result<T, ClientError>>;
+/// A reply, or why there is none.
+pub(crate) type RequestResult = Result<Parcel, ClientError>;
+
+/// Where an answer comes.
+pub(crate) type Answered<T> = oneshot::Receiver<Result<T, ClientError>>;
+
+/// Makes something of an answer, given with the id of what it answers; none if no answer comes.
+pub(crate) struct TakeAnswer(Box<dyn FnOnce(Option<u64>, RequestResult) + Send>);
 
 /// The receiver of an answer.
 ///
@@ -23,30 +27,35 @@ pub(crate) type Answering<T> = oneshot::Sender<Result<T, ClientError>>;
 #[derive(Debug)]
 pub(crate) enum AnswerTo {
     /// A caller.
-    Caller(Answering<Parcel>),
-    /// A caller that wants a token. The guard is made before the next parcel is read, so it misses no event;
-    /// a caller that went away drops it, which gives the token back.
-    Obtain {
-        member: Membership,
-        answer: Answering<TokenGuard>,
-    },
-    /// A caller that wants a part in a shared hold; likewise.
-    Inhibit {
-        member: Membership,
-        answer: Answering<InhibitGuard>,
-    },
-    /// An owner that offers its token; likewise.
-    Give {
-        member: Membership,
-        handover: Arc<Handover>,
-        answer: Answering<Given>,
-    },
+    Caller(oneshot::Sender<RequestResult>),
+    /// A caller that wants what is made of the answer, as a token's guard. It is made before the next parcel is read, so it
+    /// misses no event.
+    Taker(TakeAnswer),
     /// All callers that want to be in a context, by its serial.
     Join(Path, u64),
     /// The holder of a token with this fence.
     Renewal(Path, u64),
     /// Nobody; the answer is consumed so that nobody else gets it.
     Nobody,
+}
+
+impl AnswerTo {
+    /// Gives the answer to this function.
+    pub(crate) fn taker(take: impl FnOnce(Option<u64>, RequestResult) + Send + 'static) -> AnswerTo {
+        AnswerTo::Taker(TakeAnswer(Box::new(take)))
+    }
+}
+
+impl TakeAnswer {
+    pub(crate) fn take(self, id: Option<u64>, answer: RequestResult) {
+        (self.0)(id, answer);
+    }
+}
+
+impl fmt::Debug for TakeAnswer {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("TakeAnswer")
+    }
 }
 
 /// The requests by their ids.

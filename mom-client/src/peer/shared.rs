@@ -1,32 +1,25 @@
 //! What all proxies and the tasks of the link share.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use mom_net::{DropReason, Lane, Ledger, Outgoing};
+use mom_net::{Lane, Ledger, Outgoing};
 use mom_proto::codec::Form;
-use mom_proto::{Code, Compression, Family, Map, Parcel, Path, Thinning, WireError, event, outlives_loss};
+use mom_proto::{Code, Compression, Family, Parcel, Path, WireError, event, outlives_loss};
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::{AcquireError, Notify, Semaphore, SemaphorePermit, oneshot, watch};
 use tokio::time::timeout;
 
 use crate::device::installation::Installation;
-use crate::link::login::Welcome;
-use crate::link::survive::Counted;
-use crate::peer::guards::Guards;
-use crate::peer::handover::Handovers;
-use crate::peer::pending::{AnswerTo, OpenRequests};
-use crate::peer::subscribers::{EventQueue, Subscribers};
-use crate::peer::waits::Waits;
-use crate::peer::wanted::{Terms, Want, WantedContexts};
-use crate::said::info::map_of;
+use crate::peer::pending::AnswerTo;
+use crate::peer::state::{State, too_late};
 use crate::wire::clock::HubClock;
 use crate::wire::ids;
-use crate::wire::outbox::{Capacity, Dropped, Entry, Follows, Message, Outbox};
+use crate::wire::outbox::{Capacity, Entry, Follows, Message};
 use crate::wire::proof::Credentials;
-use crate::{ClientError, LinkState, Reconnect};
+use crate::wire::welcome::Welcome;
+use crate::{ClientError, LinkState};
 
 /// Capacity for messages that wait to be written: 4 MiB in units of 1 KiB; and a quarter of that more for urgent ones, which
 /// would else wait behind whoever waits for capacity.
@@ -39,7 +32,6 @@ const CAPACITY_UNIT: usize = 1024;
 pub(crate) struct Settings {
     pub(crate) request_timeout: Duration,
     pub(crate) connect_timeout: Duration,
-    pub(crate) reconnect: Option<Reconnect>,
     pub(crate) event_buffer: usize,
     /// Which device this program is, where it is one.
     pub(crate) installation: Installation,
@@ -74,38 +66,6 @@ pub(crate) struct Shared {
     pub(crate) ending: watch::Sender<bool>,
 }
 
-#[derive(Debug)]
-pub(crate) struct State {
-    pub(crate) status: Status,
-    pub(crate) me: Arc<Welcome>,
-    pub(crate) outbox: Outbox,
-    /// Messages that newer ones have replaced, by context: told when the link takes something again, all at once.
-    pub(crate) replaced: BTreeMap<Path, u64>,
-    pub(crate) pending: OpenRequests,
-    pub(crate) places: WantedContexts,
-    pub(crate) subscribers: Subscribers,
-    pub(crate) guards: Guards,
-    /// Parts in shared holds.
-    pub(crate) inhibits: Guards,
-    pub(crate) waits: Waits,
-    pub(crate) handovers: Handovers,
-    /// Joins after a lost link that are not answered yet.
-    pub(crate) rejoining: usize,
-    /// What the hub said before it closed the link.
-    pub(crate) closing: Option<WireError>,
-    /// What both ends have counted, where a lost connection may be resumed.
-    pub(crate) counted: Option<Box<Counted>>,
-}
-
-#[derive(Clone, Debug)]
-pub(crate) enum Status {
-    Up,
-    /// The connection is lost, and another one is to go on with all that waits.
-    Resuming,
-    Down,
-    Closed(Option<WireError>),
-}
-
 impl Shared {
     pub(crate) fn new(
         settings: Settings,
@@ -115,28 +75,12 @@ impl Shared {
         ids: AtomicU64,
         me: Welcome,
     ) -> Shared {
-        let state = State {
-            status: Status::Up,
-            me: Arc::new(me),
-            outbox: Outbox::new(form),
-            replaced: BTreeMap::new(),
-            pending: OpenRequests::default(),
-            places: WantedContexts::default(),
-            subscribers: Subscribers::default(),
-            guards: Guards::default(),
-            inhibits: Guards::default(),
-            waits: Waits::default(),
-            handovers: Handovers::default(),
-            rejoining: 0,
-            closing: None,
-            counted: None,
-        };
         Shared {
             settings,
             credentials: Mutex::new(credentials),
             clock,
             form,
-            state: Mutex::new(state),
+            state: Mutex::new(State::new(form, me)),
             ids,
             answered_ids: AtomicU64::new(ids::any()),
             capacity: Semaphore::new(CAPACITY as usize),
@@ -315,27 +259,6 @@ impl Shared {
         Ok((Some(permit), taken))
     }
 
-    /// Tells of what will not be sent, or not again: whoever waits for an answer by that, all others where the context is heard.
-    pub(crate) fn tell_dropped(&self, dropped: &Dropped) {
-        if dropped.is_empty() {
-            return;
-        }
-        let mut failed = Vec::new();
-        let mut state = self.lock();
-        let capacity = state.lose(dropped);
-        for (entry, reason) in dropped {
-            let Some(error) = unsent(*reason) else { continue };
-            entry.id.into_iter().for_each(|id| state.guards.ended(id));
-            let waiter = entry.id.and_then(|id| state.pending.take(id));
-            failed.extend(waiter.map(|waiter| (waiter, error)));
-        }
-        drop(state);
-        self.give_capacity(capacity);
-        for (waiter, error) in failed {
-            self.fail(waiter, &error);
-        }
-    }
-
     /// Stamps and encodes a parcel.
     pub(crate) fn prepare(&self, parcel: &mut Parcel, me: &Welcome) -> Result<Outgoing, ClientError> {
         parcel.timestamp = parcel.timestamp.or_else(|| self.clock.wall());
@@ -353,132 +276,6 @@ impl Shared {
             return Err(ClientError::Local(WireError::new(Code::TOO_LARGE, text)));
         }
         Ok(Outgoing::Encoded(encoded))
-    }
-
-    /// Wants contexts, the uppermost first, and asks to join those that this client is not in; the last of them
-    /// on these terms, if they are said.
-    #[expect(
-        clippy::type_complexity,
-        reason = "two lists, each of pairs, used in one place"
-    )]
-    pub(crate) fn want(
-        &self,
-        way: &[Path],
-        terms: Option<Terms>,
-    ) -> Result<(Vec<(Path, u64)>, Vec<Want>), ClientError> {
-        let mut state = self.lock();
-        state.check_up()?;
-        let (mut places, mut wants) = (Vec::new(), Vec::new());
-        let mut asked = Ok(());
-        for path in way {
-            let (serial, want) = state.places.want(path);
-            places.push((path.clone(), serial));
-            if matches!(want, Want::Join(_)) {
-                let mut waiter = Some(AnswerTo::Join(path.clone(), serial));
-                let last = places.len() == way.len();
-                let terms = terms.filter(|_| last).unwrap_or_default();
-                if let Some(place) = state.places.get(path, serial) {
-                    place.terms = terms;
-                }
-                let content = terms.content(&state.places.latch(path), &self.settings.installation);
-                asked = self.ask_in(&mut state, join(path, content), &mut waiter);
-            }
-            wants.push(want);
-            if asked.is_err() {
-                break;
-            }
-        }
-        drop(state);
-        self.outgoing.notify_one();
-        match asked {
-            Ok(()) => Ok((places, wants)),
-            Err(error) => {
-                self.unwant(&places);
-                Err(error)
-            }
-        }
-    }
-
-    /// Wants contexts no more, and leaves those that nobody else wants.
-    pub(crate) fn unwant(&self, places: &[(Path, u64)]) {
-        let mut state = self.lock();
-        for (path, serial) in places.iter().rev() {
-            if state.places.unwant(path, *serial) {
-                state.subscribers.close_within(path);
-                // Without a link there is nothing to leave.
-                let _ = self.ask_in(
-                    &mut state,
-                    verb(Family::Context, "leave", path),
-                    &mut Some(AnswerTo::Nobody),
-                );
-            }
-        }
-        drop(state);
-        self.outgoing.notify_one();
-    }
-
-    /// Joins a channel again, to be spared of something else than before.
-    pub(crate) async fn thin(&self, path: &Path, thinning: Thinning) -> Result<(), ClientError> {
-        let known = self.lock().places.terms(path);
-        self.set_terms(path, Terms { thinning, ..known }).await
-    }
-
-    /// Joins a channel again, on other terms.
-    pub(crate) async fn set_terms(&self, path: &Path, terms: Terms) -> Result<(), ClientError> {
-        // An empty map too: without content the hub leaves everything as it was.
-        let content = terms.map(&self.lock().places.latch(path), &self.settings.installation);
-        let parcel = verb(Family::Context, "join", path).content(content);
-        let reply = self.request(parcel).await?;
-        let mut state = self.lock();
-        state.places.set_terms(path, terms);
-        if let Some(word) = state.places.first_word(path, &map_of(&reply)) {
-            state.subscribers.deliver_only(path, &word);
-        }
-        Ok(())
-    }
-
-    /// Leaves a context and all below it.
-    pub(crate) async fn leave(&self, path: &Path) -> Result<(), ClientError> {
-        let asked = self.request(verb(Family::Context, "leave", path)).await;
-        if asked.is_ok() {
-            let mut state = self.lock();
-            state.places.remove_within(path);
-            state.subscribers.close_within(path);
-        }
-        asked.map(drop)
-    }
-
-    pub(crate) fn subscribe(&self, path: &Path) -> Arc<EventQueue> {
-        let mut state = self.lock();
-        let queue = state.subscribers.subscribe(path, self.settings.event_buffer);
-        if matches!(state.status, Status::Closed(_)) {
-            queue.close();
-        }
-        queue
-    }
-
-    pub(crate) fn subscribe_unaddressed(&self) -> Arc<EventQueue> {
-        let mut state = self.lock();
-        let queue = state
-            .subscribers
-            .subscribe_unaddressed(self.settings.event_buffer);
-        if matches!(state.status, Status::Closed(_)) {
-            queue.close();
-        }
-        queue
-    }
-
-    pub(crate) fn subscribe_consults(&self) -> Arc<EventQueue> {
-        let mut state = self.lock();
-        let queue = state.subscribers.subscribe_consults(self.settings.event_buffer);
-        if matches!(state.status, Status::Closed(_)) {
-            queue.close();
-        }
-        queue
-    }
-
-    pub(crate) fn unsubscribe(&self, queue: &Arc<EventQueue>) {
-        self.lock().subscribers.unsubscribe(queue);
     }
 
     /// Says good-bye after all that waits, and ends the link.
@@ -500,40 +297,6 @@ impl Shared {
     }
 }
 
-impl State {
-    /// The token that a message needs, as far as this peer knows.
-    fn guard_of(&self, parcel: &Parcel) -> Option<Path> {
-        self.places
-            .gate(parcel.context.as_ref()?)
-            .token_for(parcel.name())
-    }
-
-    /// Whether a message that was said while the outbox wrote to this link can be sent now; the token that it needs.
-    fn check_message(&self, parcel: &Parcel, link: u64) -> Result<Option<Path>, ClientError> {
-        self.check_up()?;
-        let guard = self.guard_of(parcel);
-        let lost = self.is_resuming() || self.outbox.mark().link != link;
-        match lost && !outlives_loss(parcel, guard.is_some()) {
-            true => Err(too_late()),
-            false => Ok(guard),
-        }
-    }
-
-    /// Whether the connection is lost, and another one is to go on.
-    pub(crate) fn is_resuming(&self) -> bool {
-        matches!(self.status, Status::Resuming)
-    }
-
-    /// Whether anything can be sent now.
-    pub(crate) fn check_up(&self) -> Result<(), ClientError> {
-        match &self.status {
-            Status::Up | Status::Resuming => Ok(()),
-            Status::Down => Err(ClientError::Connection("the link is down".to_owned())),
-            Status::Closed(error) => Err(ClientError::Closed(error.clone())),
-        }
-    }
-}
-
 /// A request that leaves no trace when its caller goes.
 struct Ticket<'a> {
     shared: &'a Shared,
@@ -552,15 +315,6 @@ pub(crate) fn verb(family: Family, name: &str, path: &Path) -> Parcel {
     Parcel::new(family, name).context(path.clone())
 }
 
-/// The request to join a context on these terms.
-pub(crate) fn join(path: &Path, terms: Option<Map>) -> Parcel {
-    let parcel = verb(Family::Context, "join", path);
-    match terms {
-        Some(content) => parcel.content(content),
-        None => parcel,
-    }
-}
-
 fn describe(parcel: &Parcel) -> String {
     let path = parcel
         .context
@@ -568,32 +322,4 @@ fn describe(parcel: &Parcel) -> String {
         .map(|path| format!(" {path}"))
         .unwrap_or_default();
     format!("{} {}{path}", parcel.family, parcel.name())
-}
-
-/// What moves a device, lets it move or changes who drives it is of its moment.
-fn too_late() -> ClientError {
-    let text = "it is lost, and what is said now would come too late: it is not sent";
-    ClientError::Connection(text.to_owned())
-}
-
-/// What who waits for an answer hears of a parcel that will not be sent, or not again; none where a lost link tells it.
-fn unsent(reason: DropReason) -> Option<ClientError> {
-    let local = |code, text: &str| Some(ClientError::Local(WireError::new(code, text)));
-    match reason {
-        DropReason::Withdrawn => local(
-            Code::WITHDRAWN,
-            "a stop came after this unstop, before it was sent",
-        ),
-        DropReason::Replaced => local(Code::WITHDRAWN, "a newer one came after it, before it was sent"),
-        DropReason::Expired => local(Code::EXPIRED, "its time was over before it was sent"),
-        DropReason::Lost => {
-            let text = "it was lost before this was sent, and it would come too late: it is not sent";
-            Some(ClientError::Connection(text.to_owned()))
-        }
-        DropReason::Unknown => {
-            let text = "the connection was lost after it had left, whether the hub has read it cannot be known, and it is not sent again";
-            Some(ClientError::Unknown(WireError::new(Code::DISCONNECTED, text)))
-        }
-        _ => None,
-    }
 }

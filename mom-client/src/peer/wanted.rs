@@ -7,7 +7,7 @@ use mom_proto::{ContextNumber, Map, Path, Thinning};
 use tokio::sync::oneshot;
 
 use crate::device::installation::Installation;
-use crate::said::info::number;
+use crate::words::number;
 use crate::{ClientError, Event, FenceGate, Latch, StopState};
 
 pub(crate) type Joined = Result<Arc<Map>, ClientError>;

@@ -7,7 +7,7 @@ use mom_proto::{Map, Parcel, Path, Time, Value};
 
 use crate::ClientError;
 use crate::error::bad_reply;
-use crate::said::info::{map_of, number, owned, read_list, text};
+use crate::words::{map_of, number, owned, read_list, text};
 
 /// The statistics of a channel, or of the channels of a session, at one moment.
 #[derive(Clone, Debug, PartialEq)]

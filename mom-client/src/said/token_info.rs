@@ -5,7 +5,7 @@ use std::time::Duration;
 use mom_proto::{Map, Value};
 
 use crate::Member;
-use crate::said::info::{level, millis_of, name_list, number, owned};
+use crate::words::{level, millis_of, name_list, number, owned};
 
 /// A token's owner, queue, offers and requests (M33).
 ///

@@ -205,3 +205,19 @@ pub(crate) fn system() -> Option<Time> {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
     Time::from_micros(i64::try_from(since.as_micros()).ok()?)
 }
+
+/// The ms since the machine's start, with those in which it slept.
+pub(crate) fn uptime() -> u64 {
+    #[cfg(target_os = "linux")]
+    let time = {
+        let time = rustix::time::clock_gettime(rustix::time::ClockId::Boottime);
+        Duration::try_from(time).unwrap_or_default()
+    };
+    #[cfg(not(target_os = "linux"))]
+    let time = {
+        static START: std::sync::LazyLock<std::time::Instant> =
+            std::sync::LazyLock::new(std::time::Instant::now);
+        START.elapsed()
+    };
+    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
+}

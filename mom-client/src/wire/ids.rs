@@ -2,7 +2,7 @@
 
 use mom_proto::{Family, Parcel, event};
 
-use crate::link::connection::uptime;
+use crate::wire::clock::uptime;
 
 /// Whether a device answers it by its status, or the hub by a receipt.
 pub(crate) fn is_answered(parcel: &Parcel) -> bool {

@@ -3,5 +3,8 @@
 pub(crate) mod clock;
 pub(crate) mod ids;
 pub(crate) mod key;
+pub(crate) mod link_secret;
 pub(crate) mod outbox;
 pub(crate) mod proof;
+pub(crate) mod trace;
+pub(crate) mod welcome;

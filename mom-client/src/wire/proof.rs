@@ -13,8 +13,8 @@ use mom_proto::{
 };
 
 use crate::error::bad_reply;
-use crate::said::info::{map_of, text};
 use crate::wire::clock::system;
+use crate::words::{map_of, text};
 use crate::{ClientError, Key};
 
 /// How often a peer may ask for signs of life: a hub refuses more, and fewer than it gives by default are probably a time in another unit.

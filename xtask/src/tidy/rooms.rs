@@ -44,6 +44,12 @@ const ROOMS: &[(&str, &[&str])] = &[
             "traffic",
         ],
     ),
+    (
+        "mom-client",
+        &[
+            "control", "contexts", "link", "peer", "device", "wire", "said", "words", "error", "refusal",
+        ],
+    ),
 ];
 
 pub(crate) fn check(tree: &Tree, report: &mut Report<'_>) -> Result<()> {

@@ -5,7 +5,7 @@ use std::time::Duration;
 use mom_proto::event as names;
 use mom_proto::{ContextKind, Family, Map, Parcel, Path, WireError};
 
-use crate::said::info::{level, map_of, millis_of, name_list, number, owned, text};
+use crate::words::{level, map_of, millis_of, name_list, number, owned, text};
 use crate::{ContextInfo, Member, StopState};
 
 #[cfg(test)]

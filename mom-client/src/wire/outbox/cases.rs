@@ -17,13 +17,13 @@ use tokio::sync::oneshot;
 
 use super::{Capacity, Entry};
 use crate::device::installation::Installation;
-use crate::link::login::Welcome;
-use crate::link::survive::{LinkSecret, Resumption};
 use crate::peer::pending::AnswerTo;
 use crate::peer::shared::{Settings, Shared};
 use crate::peer::subscribers::EventQueue;
 use crate::wire::clock::HubClock;
+use crate::wire::link_secret::{LinkSecret, Resumption};
 use crate::wire::proof::Credentials;
+use crate::wire::welcome::Welcome;
 use crate::{ClientError, ErrorKind, Event, Proof};
 
 const DIALECT: Dialect = Dialect {
@@ -114,7 +114,6 @@ impl Talker {
         let settings = Settings {
             request_timeout: Duration::from_secs(1),
             connect_timeout: Duration::from_secs(1),
-            reconnect: None,
             event_buffer: 1024,
             installation: Installation::unknown(),
         };
