@@ -60,11 +60,10 @@ pub use error::{ClientError, ErrorKind};
 pub use link::probe::Probe;
 pub use link::reconnect::Reconnect;
 pub use link::report::{Report, report};
-pub use mom_net::{Address, DEFAULT_PORT, Identity, NetError, Trust};
+pub use mom_net::{Address, Identity, NetError, Trust};
 pub use mom_proto::{
-    ClockOffset, Code, Content, ContextKind, Delivery, Family, Fence, Fingerprint, HISTORY, HUB, Map,
-    MessageRate, Parcel, Path, TRACE, Thinning, Time, TraceParent, Value, WireError, event, from_value,
-    to_value, visible,
+    ClockOffset, Code, Content, ContextKind, Delivery, Family, Fingerprint, HISTORY, HUB, Map, MessageRate,
+    Parcel, Path, Thinning, Time, TraceParent, Value, WireError, event, from_value, to_value, visible,
 };
 pub use peer::link_state::LinkState;
 pub use refusal::{Refusal, ordinal, plain_duration};

@@ -43,7 +43,7 @@ mod tunnel;
 mod websocket;
 mod writer;
 
-pub use address::{Address, DEFAULT_PORT, Door};
+pub use address::{Address, Door};
 pub use compressed::COMPRESSION_MEMORY;
 pub use error::NetError;
 pub use flow::{Allowance, Flow, Pause};
