@@ -6,5 +6,5 @@ pub(crate) mod grab;
 pub(crate) mod guard;
 pub(crate) mod holding;
 pub(crate) mod inhibit;
-pub(crate) mod owning;
+mod owning;
 pub(crate) mod token;

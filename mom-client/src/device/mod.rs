@@ -1,4 +1,4 @@
-//! What a device obeys, without IO.
+//! What a device obeys, without IO: stops, fences and states; and the prediction that compensates age.
 
 pub(crate) mod gate;
 pub(crate) mod installation;

@@ -1,6 +1,6 @@
 //! What this peer is at the hub, behind one lock: what it waits for, where it is, who listens, and what it holds.
 
-pub(crate) mod answers;
+mod answers;
 pub(crate) mod guards;
 pub(crate) mod handover;
 pub(crate) mod holds;
@@ -11,5 +11,5 @@ pub(crate) mod pending;
 pub(crate) mod shared;
 pub(crate) mod state;
 pub(crate) mod subscribers;
-pub(crate) mod waits;
+mod waits;
 pub(crate) mod wanted;

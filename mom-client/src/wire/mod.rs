@@ -1,4 +1,4 @@
-//! What is said over one connection: the queue of what leaves, stamps of time, and proofs.
+//! What is said over one connection: the queue of what leaves, proofs and the reply to them, stamps of time, and spans of it.
 
 pub(crate) mod clock;
 pub(crate) mod ids;
