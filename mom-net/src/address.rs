@@ -8,7 +8,7 @@ use mom_proto::{BadFingerprint, Fingerprint, Path};
 use crate::NetError;
 
 /// The port of the hub where an address names none.
-pub const DEFAULT_PORT: u16 = 7666;
+const DEFAULT_PORT: u16 = 7666;
 
 /// Where a hub is and how to speak to it: `tcp://host:port/path` for XML, `bin://…` for binary, `json://…` for JSON, `mom://…` for
 /// whichever [door](Address::doors) opens, in the binary form; `ws://…` for a WebSocket and `http://…` for a tunnel, both binary unless `?form=`

@@ -4,26 +4,25 @@ use std::future::poll_fn;
 use std::io::{self, ErrorKind, IoSlice};
 use std::sync::Arc;
 use std::task::{Context, Poll, ready};
+use std::time::Duration;
 
 use bytes::{BufMut, BytesMut};
 use socket2::SockRef;
 use tokio::net::TcpStream;
+use tokio::time::timeout;
 
 use crate::tls::TlsLink;
 use crate::{Privacy, TcpState, options};
+
+/// How long a peer that is refused may take to hear so and to close, and how much it may send meanwhile.
+const FAREWELL: Duration = Duration::from_secs(1);
+const UNREAD: usize = 64 * 1024;
 
 /// A stream of bytes in both directions, without a form.
 #[derive(Debug)]
 pub(crate) enum Carrier {
     Tcp(TcpStream),
     Tls(Arc<TlsLink>),
-}
-
-/// Lets others have the thread before a reader goes on that has read something and has nothing to give: a sender of nothing takes no
-/// longer turns than one of parcels.
-pub(crate) fn next_turn<T>(context: &Context<'_>) -> Poll<T> {
-    context.waker().wake_by_ref();
-    Poll::Pending
 }
 
 impl Carrier {
@@ -96,6 +95,31 @@ impl Carrier {
             Carrier::Tcp(stream) => drop(SockRef::from(stream).shutdown(std::net::Shutdown::Write)),
             Carrier::Tls(link) => link.finish(),
         }
+    }
+
+    /// Says these bytes and closes, so that the other side still gets them.
+    pub(crate) async fn say_last(&self, bytes: &[u8]) {
+        // Best effort: it is closed either way.
+        let _ = timeout(FAREWELL, self.end(bytes)).await;
+    }
+
+    async fn end(&self, bytes: &[u8]) -> io::Result<()> {
+        if !bytes.is_empty() {
+            self.writable().await?;
+            self.try_write(&[IoSlice::new(bytes)])?;
+        }
+        self.finish();
+        // What a peer has sent and nobody has read would make of the close a reset, which overtakes the answer.
+        let mut unread = BytesMut::with_capacity(4096);
+        let mut left = UNREAD;
+        while left > 0 {
+            unread.clear();
+            match self.read(&mut unread).await? {
+                0 => break,
+                count => left = left.saturating_sub(count),
+            }
+        }
+        Ok(())
     }
 
     /// Sets the options that every connection has.

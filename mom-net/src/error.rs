@@ -44,3 +44,13 @@ impl From<io::Error> for NetError {
         }
     }
 }
+
+/// The error for a connection on which nothing can be answered any more.
+impl From<NetError> for WireError {
+    fn from(error: NetError) -> WireError {
+        match error {
+            NetError::Wire(error) => error,
+            other => WireError::new(Code::DISCONNECTED, other.to_string()),
+        }
+    }
+}

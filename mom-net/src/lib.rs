@@ -16,8 +16,6 @@
 //! # });
 //! ```
 
-use mom_proto::Fingerprint;
-
 mod address;
 mod carrier;
 mod compressed;
@@ -39,16 +37,18 @@ mod spare;
 mod takes;
 mod tcp;
 mod tls;
+mod transceiver;
 mod tunnel;
+mod turn;
 mod websocket;
 mod writer;
 
-pub use address::{Address, DEFAULT_PORT, Door};
+pub use address::{Address, Door};
 pub use compressed::COMPRESSION_MEMORY;
 pub use error::NetError;
 pub use flow::{Allowance, Flow, Pause};
 pub use http::HttpStream;
-pub use link::TcpState;
+pub use link::{Privacy, TcpState};
 pub use local::pair;
 pub use outgoing::Outgoing;
 pub use part::Part;
@@ -61,31 +61,7 @@ pub use secret_id::SecretId;
 pub use takes::{Protocol, Takes, TlsUse};
 pub use tcp::{Accepted, accept, connect, refuse};
 pub use tls::{ClientTls, Identity, SelfSigned, ServerTls, TlsError, Trust};
+pub use transceiver::Transceiver;
 pub use tunnel::{Tunnel, TunnelBody, Tunnels, ask, post};
 pub use websocket::{UpgradeRefused, WebSocketUpgrade};
 pub use writer::{GATHER, Progress, Writer};
-
-/// One connection in two halves.
-#[derive(Debug)]
-pub struct Transceiver {
-    /// Gives frames.
-    pub reader: Reader,
-    /// Takes parcels.
-    pub writer: Writer,
-    /// Who could have read along, and who is at the other side.
-    pub privacy: Privacy,
-}
-
-/// What is known of the other side of a connection, and of those between.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Privacy {
-    /// It is in this process.
-    Local,
-    /// Whoever is between can read along.
-    Plain,
-    /// Nobody between can read along.
-    Tls {
-        /// The certificate that the other side has shown, if it has one, and has proved to have the key of.
-        certificate: Option<Fingerprint>,
-    },
-}

@@ -1,4 +1,6 @@
-//! What is known of the network below a connection.
+//! What is known of the network below a connection, and of the other side.
+
+use mom_proto::Fingerprint;
 
 /// The state of a TCP connection, as its kernel tells it (`TCP_INFO`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -13,4 +15,18 @@ pub struct TcpState {
     pub pace: u64,
     /// The least round trip seen, in µs; the largest number before the first.
     pub least_round_trip: u32,
+}
+
+/// What is known of the other side of a connection, and of those between.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Privacy {
+    /// It is in this process.
+    Local,
+    /// Whoever is between can read along.
+    Plain,
+    /// Nobody between can read along.
+    Tls {
+        /// The certificate that the other side has shown, if it has one, and has proved to have the key of.
+        certificate: Option<Fingerprint>,
+    },
 }

@@ -1,8 +1,5 @@
 //! Two ends inside one process (M18): parcels pass as they are.
 
-use std::sync::Arc;
-
-use mom_proto::{Parcel, WireError, check_message_name};
 use tokio::sync::mpsc;
 
 use crate::reader::{Reader, Source};
@@ -25,20 +22,4 @@ pub fn pair() -> (Transceiver, Transceiver) {
         privacy: Privacy::Local,
     };
     (end(to_there, from_there), end(to_here, from_here))
-}
-
-/// Checks what a codec would have checked.
-pub(crate) fn check(parcel: &Parcel) -> Result<(), WireError> {
-    check_message_name(&parcel.name)?;
-    match &parcel.address {
-        Some(address) if address.is_empty() => {
-            let text = "the slot address is empty: leave it out to reach all members";
-            Err(WireError::new(mom_proto::Code::BAD_SLOT, text).slot("address"))
-        }
-        _ => Ok(()),
-    }
-}
-
-pub(crate) fn unshare(parcel: Arc<Parcel>) -> Box<Parcel> {
-    Box::new(Arc::unwrap_or_clone(parcel))
 }

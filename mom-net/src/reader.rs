@@ -8,13 +8,13 @@ use std::task::{Context, Poll};
 use bytes::{Buf, BufMut};
 use mom_proto::binary::Plain;
 use mom_proto::codec::{Decoder, Deferred, Form, Frame};
-use mom_proto::{Compression, ContextNumber, Limits, Parcel, Path};
+use mom_proto::{Compression, ContextNumber, Limits, Parcel, Path, WireError, check_message_name};
 use tokio::sync::mpsc;
 
+use crate::NetError;
 use crate::compressed::Unpacker;
 use crate::socket::ReadHalf;
 use crate::spare::ReadBuffer;
-use crate::{NetError, local};
 
 /// The most that one system call reads: it does not return before all that has come is copied, and others wait for the
 /// thread.
@@ -362,11 +362,23 @@ fn poll_read(
 }
 
 fn local_frame(parcel: Arc<Parcel>) -> Frame {
-    match local::check(&parcel) {
-        Ok(()) => Frame::Parcel(local::unshare(parcel)),
+    match check(&parcel) {
+        Ok(()) => Frame::Parcel(Box::new(Arc::unwrap_or_clone(parcel))),
         Err(error) => Frame::Malformed {
             reference: parcel.id,
             error,
         },
+    }
+}
+
+/// Checks what a codec would have checked.
+fn check(parcel: &Parcel) -> Result<(), WireError> {
+    check_message_name(&parcel.name)?;
+    match &parcel.address {
+        Some(address) if address.is_empty() => {
+            let text = "the slot address is empty: leave it out to reach all members";
+            Err(WireError::new(mom_proto::Code::BAD_SLOT, text).slot("address"))
+        }
+        _ => Ok(()),
     }
 }

@@ -2,14 +2,13 @@
 
 use std::collections::VecDeque;
 use std::io;
-use std::time::Duration;
+use std::sync::Arc;
 
 use bytes::{Bytes, BytesMut};
 use mom_proto::binary::{BinaryDecoder, PREFACE};
 use mom_proto::codec::{Decoder, Encoded, Form};
 use mom_proto::{Code, Limits, Parcel, WireError};
 use tokio::net::TcpStream;
-use tokio::time::timeout;
 
 use crate::carrier::Carrier;
 use crate::dial::Dialer;
@@ -19,13 +18,9 @@ use crate::spare::ReadBuffer;
 use crate::tls::{HANDSHAKE, TlsLink};
 use crate::writer::{Progress, Sink, Stream, Writer};
 use crate::{
-    Address, ClientTls, Door, HttpStream, NetError, Outgoing, Privacy, ServerTls, Takes, Transceiver, http,
-    socket, tunnel, websocket,
+    Address, ClientTls, Door, HttpStream, NetError, Outgoing, Privacy, ServerTls, Takes, Transceiver, Tunnel,
+    WebSocketUpgrade, http, socket, tunnel, websocket,
 };
-
-/// How long a peer that is refused may take to hear so and to close, and how much it may send meanwhile.
-const FAREWELL: Duration = Duration::from_secs(1);
-const UNREAD: usize = 64 * 1024;
 
 /// Connects to a hub and speaks the address's form through the address's door, with TLS if the address says so.
 ///
@@ -42,16 +37,67 @@ pub async fn connect(
             let decoder = client_decoder(address.form, limits);
             start(dialer.dial().await?, address.form, decoder, BytesMut::new()).await
         }
-        Door::WebSocket => websocket::connect(dialer.dial().await?, address, limits).await,
-        Door::Tunnel { .. } => tunnel::connect(dialer, limits).await,
+        Door::WebSocket => {
+            let link = websocket::connect(dialer.dial().await?, address).await?;
+            let (form, privacy) = (address.form, link.privacy());
+            let decoder = client_decoder(form, limits);
+            begin(socket::websocket(link), privacy, form, decoder, BytesMut::new()).await
+        }
+        Door::Tunnel { .. } => {
+            let (pipe, privacy) = tunnel::connect(dialer).await?;
+            let decoder = client_decoder(address.form, limits);
+            begin(
+                socket::tunnel(pipe),
+                privacy,
+                address.form,
+                decoder,
+                BytesMut::new(),
+            )
+            .await
+        }
     }
 }
 
 /// A decoder for what a hub says.
-pub(crate) fn client_decoder(form: Form, limits: &Limits) -> Decoder {
+fn client_decoder(form: Form, limits: &Limits) -> Decoder {
     match form {
         Form::Binary | Form::Packed => Decoder::Binary(Box::new(BinaryDecoder::for_peer(limits))),
         form => Decoder::new(form, limits),
+    }
+}
+
+impl WebSocketUpgrade {
+    /// Goes on as a WebSocket once the answer is written. `read` = what has arrived behind the request.
+    ///
+    /// # Errors
+    /// A link that failed.
+    pub async fn start(
+        self,
+        stream: HttpStream,
+        read: &[u8],
+        limits: &Limits,
+    ) -> Result<Transceiver, NetError> {
+        let (form, link) = (self.form(), self.granted(stream, read)?);
+        let (privacy, decoder) = (link.privacy(), Decoder::new(form, limits));
+        begin(socket::websocket(link), privacy, form, decoder, BytesMut::new()).await
+    }
+}
+
+impl Tunnel {
+    /// Waits for a peer's first bytes, as [`accept`] does, and tells it what is wrong through the tunnel.
+    ///
+    /// # Errors
+    /// Bytes that begin no form, or come too late.
+    pub async fn greet(
+        &self,
+        privacy: Privacy,
+        limits: &Limits,
+        too_late: impl Future<Output = WireError>,
+        answer: impl FnOnce(&WireError) -> Parcel,
+    ) -> Result<Transceiver, NetError> {
+        let (form, first) = self.first_words(too_late, answer).await?;
+        let halves = socket::tunnel(Arc::clone(self.pipe()));
+        begin(halves, privacy, form, Decoder::new(form, limits), first).await
     }
 }
 
@@ -163,32 +209,7 @@ async fn tell(carrier: &Carrier, answer: &Parcel) {
     let Ok(encoded) = Form::Xml.encode(answer) else {
         return;
     };
-    say_last(carrier, &encoded.head).await;
-}
-
-/// Says these bytes and closes.
-pub(crate) async fn say_last(carrier: &Carrier, bytes: &[u8]) {
-    // Best effort: it is closed either way.
-    let _ = timeout(FAREWELL, end(carrier, bytes)).await;
-}
-
-async fn end(carrier: &Carrier, bytes: &[u8]) -> io::Result<()> {
-    if !bytes.is_empty() {
-        carrier.writable().await?;
-        carrier.try_write(&[io::IoSlice::new(bytes)])?;
-    }
-    carrier.finish();
-    // What a peer has sent and nobody has read would make of the close a reset, which overtakes the answer.
-    let mut unread = BytesMut::with_capacity(4096);
-    let mut left = UNREAD;
-    while left > 0 {
-        unread.clear();
-        match carrier.read(&mut unread).await? {
-            0 => break,
-            count => left = left.saturating_sub(count),
-        }
-    }
-    Ok(())
+    carrier.say_last(&encoded.head).await;
 }
 
 async fn start(
@@ -236,14 +257,4 @@ pub(crate) async fn begin(
         writer,
         privacy,
     })
-}
-
-/// The error for a connection on which nothing can be answered any more.
-impl From<NetError> for WireError {
-    fn from(error: NetError) -> WireError {
-        match error {
-            NetError::Wire(error) => error,
-            other => WireError::new(Code::DISCONNECTED, other.to_string()),
-        }
-    }
 }

@@ -8,8 +8,8 @@ use std::task::{Context, Poll, ready};
 use bytes::{Buf as _, BufMut as _, BytesMut};
 use hyper::rt::{Read, ReadBufCursor, Write};
 
+use crate::Privacy;
 use crate::carrier::Carrier;
-use crate::{Privacy, tcp};
 
 /// Read at once: as much as TLS decrypts at once, whatever room hyper has for it.
 const AT_ONCE: usize = 64 * 1024;
@@ -38,7 +38,7 @@ impl HttpStream {
 
     /// Says this, if anything, and ends the connection so that the other side still gets the last answer.
     pub async fn close(self, last: &[u8]) {
-        tcp::say_last(&self.carrier, last).await;
+        self.carrier.say_last(last).await;
     }
 
     /// What is below, and what has been read and not taken.

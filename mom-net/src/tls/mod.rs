@@ -16,7 +16,7 @@ use rustls::crypto::CryptoProvider;
 use sha2::{Digest as _, Sha256};
 use tokio::net::TcpStream;
 
-use crate::carrier::next_turn;
+use crate::turn::next_turn;
 use crate::{TcpState, options};
 
 pub use client::{ClientTls, Identity, Trust};

@@ -12,7 +12,6 @@ use http::{HeaderName, HeaderValue, Method, Request, Response, StatusCode};
 use http_body_util::{BodyExt as _, Full};
 use hyper::body::Incoming;
 use hyper::client::conn::http1;
-use mom_proto::Limits;
 use mom_proto::codec::Form;
 use parking_lot::Mutex;
 use tokio::sync::Notify;
@@ -22,7 +21,7 @@ use super::pipe::{Misplaced, Pipe, WINDOW};
 use super::{END, ID, LONGEST, MOST_UP, SENT, TAKEN};
 use crate::carrier::Carrier;
 use crate::dial::Dialer;
-use crate::{Address, ClientTls, Door, HttpStream, NetError, Transceiver, http as http_door, socket, tcp};
+use crate::{Address, ClientTls, Door, HttpStream, NetError, Privacy, http as http_door};
 
 /// Brought up by one request before login: the hub takes one parcel.
 const MOST_BEFORE_LOGIN: usize = 16 * 1024;
@@ -41,9 +40,9 @@ const AGAIN: [Duration; 4] = [
     Duration::from_secs(3),
 ];
 
-/// Opens a tunnel to a hub.
-pub(crate) async fn connect(dialer: Dialer, limits: &Limits) -> Result<Transceiver, NetError> {
-    let (form, dialer) = (dialer.address.form, Arc::new(dialer));
+/// Opens a tunnel to a hub; gives what goes through it, and who could read along.
+pub(crate) async fn connect(dialer: Dialer) -> Result<(Arc<Pipe>, Privacy), NetError> {
+    let dialer = Arc::new(dialer);
     let streams = dialer.address.door != (Door::Tunnel { polled: true });
     let mut up = Requests::new(&dialer);
     let carrier = dialer.dial().await?;
@@ -72,8 +71,7 @@ pub(crate) async fn connect(dialer: Dialer, limits: &Limits) -> Result<Transceiv
         }
         tunnel.pipe.break_off("the tunnel is closed");
     });
-    let decoder = tcp::client_decoder(form, limits);
-    tcp::begin(socket::tunnel(pipe), privacy, form, decoder, BytesMut::new()).await
+    Ok((pipe, privacy))
 }
 
 /// Posts a document of JSON to a hub by plain HTTP, through the proxy of the environment if it names one; gives what is answered.

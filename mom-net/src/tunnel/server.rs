@@ -10,7 +10,7 @@ use http::header::{ALLOW, CACHE_CONTROL, CONTENT_TYPE};
 use http::{Method, Request, Response, StatusCode};
 use http_body_util::{BodyExt as _, Limited};
 use hyper::body::Body;
-use mom_proto::codec::{Decoder, Form};
+use mom_proto::codec::Form;
 use mom_proto::{Code, Limits, Parcel, WireError};
 use parking_lot::Mutex;
 use sha2::{Digest as _, Sha256};
@@ -19,7 +19,7 @@ use tokio::time::{Instant, timeout, timeout_at};
 
 use super::pipe::{Misplaced, Pipe};
 use super::{END, ID, LONGEST, MOST_UP, SENT, TAKEN, TunnelBody};
-use crate::{NetError, Privacy, SecretId, Transceiver, socket, tcp};
+use crate::{NetError, SecretId};
 
 /// Brought down by one answer that has an end.
 const MOST_DOWN: usize = 64 * 1024;
@@ -283,36 +283,28 @@ impl Tunnel {
         answer
     }
 
-    /// Waits for a peer's first bytes, as [`crate::accept`] does, and tells it what is wrong through the tunnel.
-    ///
-    /// # Errors
-    /// Bytes that begin no form, or come too late.
-    pub async fn greet(
+    /// What both of its ends share.
+    pub(crate) fn pipe(&self) -> &Arc<Pipe> {
+        &self.pipe
+    }
+
+    /// Waits for a peer's first bytes, which begin this form; gives all that have come.
+    pub(crate) async fn first_words(
         &self,
-        privacy: Privacy,
-        limits: &Limits,
         too_late: impl Future<Output = WireError>,
         answer: impl FnOnce(&WireError) -> Parcel,
-    ) -> Result<Transceiver, NetError> {
+    ) -> Result<(Form, BytesMut), NetError> {
         let mut first = BytesMut::new();
         let told = tokio::select! {
             told = self.first_form(&mut first) => told,
             error = too_late => Err(error.into()),
         };
-        match told {
-            Ok(form) => {
-                let halves = socket::tunnel(Arc::clone(&self.pipe));
-                tcp::begin(halves, privacy, form, Decoder::new(form, limits), first).await
-            }
-            Err(error) => {
-                if let NetError::Wire(error) = &error
-                    && let Ok(encoded) = Form::Xml.encode(&answer(error))
-                {
-                    self.pipe.try_write(&[std::io::IoSlice::new(&encoded.head)])?;
-                }
-                Err(error)
-            }
+        if let Err(NetError::Wire(error)) = &told
+            && let Ok(encoded) = Form::Xml.encode(&answer(error))
+        {
+            self.pipe.try_write(&[std::io::IoSlice::new(&encoded.head)])?;
         }
+        Ok((told?, first))
     }
 
     async fn first_form(&self, first: &mut BytesMut) -> Result<Form, NetError> {

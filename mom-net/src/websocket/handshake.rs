@@ -11,14 +11,13 @@ use http::header::{
 };
 use http::{HeaderValue, Method, Request, Response, StatusCode};
 use http_body_util::Empty;
-use mom_proto::Limits;
-use mom_proto::codec::{Decoder, Form};
+use mom_proto::codec::Form;
 use sha1::{Digest as _, Sha1};
 
 use super::WebSocket;
 use super::frame::Rules;
 use crate::carrier::Carrier;
-use crate::{Address, HttpStream, NetError, Transceiver, http as http_door, socket, tcp};
+use crate::{Address, HttpStream, http as http_door};
 
 /// What the key of a client is answered with: RFC 6455, 1.3.
 const MAGIC: &str = "258EAFA5-E914-47DA-95CA-C5AB0DC85B11";
@@ -109,6 +108,20 @@ impl WebSocketUpgrade {
         self.form
     }
 
+    /// The WebSocket that the connection is once the answer is written. `read` = what has arrived behind the request.
+    pub(crate) fn granted(&self, stream: HttpStream, read: &[u8]) -> io::Result<WebSocket> {
+        let rules = Rules {
+            text: !self.form.is_binary(),
+            client: false,
+        };
+        let (carrier, mut first) = stream.into_carrier();
+        // What hyper has read came before what it has not.
+        let mut arrived = BytesMut::from(read);
+        arrived.unsplit(first.split());
+        carrier.prepare()?;
+        Ok(WebSocket::new(carrier, rules, arrived))
+    }
+
     /// The answer that grants it.
     ///
     /// # Panics
@@ -123,28 +136,6 @@ impl WebSocketUpgrade {
             .body(B::default())
             .expect("these headers are well-formed")
     }
-
-    /// Goes on as a WebSocket once the answer is written. `read` = what has arrived behind the request.
-    ///
-    /// # Errors
-    /// A link that failed.
-    pub async fn start(
-        self,
-        stream: HttpStream,
-        read: &[u8],
-        limits: &Limits,
-    ) -> Result<Transceiver, NetError> {
-        let rules = Rules {
-            text: !self.form.is_binary(),
-            client: false,
-        };
-        let (carrier, mut first) = stream.into_carrier();
-        // What hyper has read came before what it has not.
-        let mut arrived = BytesMut::from(read);
-        arrived.unsplit(first.split());
-        let decoder = Decoder::new(self.form, limits);
-        start(carrier, rules, (self.form, decoder), arrived).await
-    }
 }
 
 fn protocol_of(form: Form) -> &'static str {
@@ -152,24 +143,8 @@ fn protocol_of(form: Form) -> &'static str {
     named.map_or("mom.bin.v1", |(name, _)| name)
 }
 
-async fn start(
-    carrier: Carrier,
-    rules: Rules,
-    (form, decoder): (Form, Decoder),
-    arrived: BytesMut,
-) -> Result<Transceiver, NetError> {
-    carrier.prepare()?;
-    let privacy = carrier.privacy();
-    let halves = socket::websocket(WebSocket::new(carrier, rules, arrived));
-    tcp::begin(halves, privacy, form, decoder, BytesMut::new()).await
-}
-
 /// Asks a hub for a WebSocket.
-pub(crate) async fn connect(
-    carrier: Carrier,
-    address: &Address,
-    limits: &Limits,
-) -> Result<Transceiver, NetError> {
+pub(crate) async fn connect(carrier: Carrier, address: &Address) -> io::Result<WebSocket> {
     let form = address.form;
     let mut key = [0; 16];
     getrandom::fill(&mut key).map_err(|error| io::Error::other(error.to_string()))?;
@@ -192,12 +167,12 @@ pub(crate) async fn connect(
         || protocol.map(HeaderValue::as_bytes) != Some(protocol_of(form).as_bytes())
     {
         let text = "what answers is no hub: its WebSocket is another";
-        return Err(io::Error::new(io::ErrorKind::InvalidData, text).into());
+        return Err(io::Error::new(io::ErrorKind::InvalidData, text));
     }
     let rules = Rules {
         text: !form.is_binary(),
         client: true,
     };
-    let decoder = tcp::client_decoder(form, limits);
-    start(carrier, rules, (form, decoder), arrived).await
+    carrier.prepare()?;
+    Ok(WebSocket::new(carrier, rules, arrived))
 }

@@ -21,8 +21,9 @@ use bytes::{Buf as _, BufMut, BytesMut};
 use mom_proto::{Code, Micros, WireError};
 use parking_lot::Mutex;
 
-use crate::TcpState;
-use crate::carrier::{Carrier, next_turn};
+use crate::carrier::Carrier;
+use crate::turn::next_turn;
+use crate::{Privacy, TcpState};
 use frame::{CONTINUATION, Fault, Head, Incoming, Rules};
 
 pub(crate) use handshake::connect;
@@ -77,6 +78,11 @@ struct State {
 }
 
 impl WebSocket {
+    /// Who could have read along.
+    pub(crate) fn privacy(&self) -> Privacy {
+        self.carrier.privacy()
+    }
+
     fn new(carrier: Carrier, rules: Rules, first: BytesMut) -> WebSocket {
         let state = State {
             began: Instant::now(),

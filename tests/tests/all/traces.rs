@@ -3,7 +3,8 @@
 use std::io::{self, Write};
 use std::sync::{Arc, Mutex};
 
-use mom_client::{Client, Event, TRACE, TraceParent};
+use mom_client::{Client, Event, TraceParent};
+use mom_proto::TRACE;
 use mom_tests::lab;
 use mom_tests::raw::PATIENCE;
 use tokio::time::timeout;

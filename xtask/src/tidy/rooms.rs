@@ -44,6 +44,43 @@ const ROOMS: &[(&str, &[&str])] = &[
             "traffic",
         ],
     ),
+    (
+        "mom-client",
+        &[
+            "control", "contexts", "link", "peer", "device", "wire", "said", "words", "error", "refusal",
+        ],
+    ),
+    (
+        "mom-net",
+        &[
+            "tcp",
+            "local",
+            "transceiver",
+            "queue",
+            "flow",
+            "part",
+            "reader",
+            "writer",
+            "compressed",
+            "socket",
+            "websocket",
+            "tunnel",
+            "dial",
+            "http",
+            "carrier",
+            "tls",
+            "turn",
+            "options",
+            "proxy",
+            "takes",
+            "outgoing",
+            "address",
+            "spare",
+            "secret_id",
+            "link",
+            "error",
+        ],
+    ),
 ];
 
 pub(crate) fn check(tree: &Tree, report: &mut Report<'_>) -> Result<()> {
