@@ -142,6 +142,9 @@ impl Section {
     }
 }
 
+/// # Errors
+///
+/// Each of these fails where the value is of another type, and says what it is.
 impl At<Item> {
     /// That something else is expected here.
     #[must_use]
@@ -151,10 +154,6 @@ impl At<Item> {
     }
 
     /// A text.
-    ///
-    /// # Errors
-    ///
-    /// It is none.
     pub fn text(&self) -> Result<&str, Misfit> {
         match &self.value {
             Item::Text(text) | Item::Raw(text) => Ok(text),
@@ -163,10 +162,6 @@ impl At<Item> {
     }
 
     /// An integer.
-    ///
-    /// # Errors
-    ///
-    /// It is none.
     pub fn integer(&self) -> Result<i64, Misfit> {
         let number = match &self.value {
             Item::Integer(number) => Some(*number),
@@ -180,16 +175,8 @@ impl At<Item> {
     }
 
     /// A number with a fraction or without, also one that is not finite.
-    ///
-    /// # Errors
-    ///
-    /// It is none.
     pub fn number(&self) -> Result<f64, Misfit> {
         let number = match &self.value {
-            #[expect(
-                clippy::cast_precision_loss,
-                reason = "beyond 2^53 it is out of every range anyway"
-            )]
             Item::Integer(number) => Some(*number as f64),
             Item::Float(number) => Some(*number),
             Item::Raw(raw) => raw.parse().ok(),
@@ -199,10 +186,6 @@ impl At<Item> {
     }
 
     /// True or false.
-    ///
-    /// # Errors
-    ///
-    /// It is neither.
     pub fn flag(&self) -> Result<bool, Misfit> {
         let flag = match &self.value {
             Item::Flag(flag) => Some(*flag),
@@ -213,10 +196,6 @@ impl At<Item> {
     }
 
     /// The values of a list; `expected` says of what.
-    ///
-    /// # Errors
-    ///
-    /// It is no list.
     pub fn list(&self, expected: &str) -> Result<&[At<Item>], Misfit> {
         match &self.value {
             Item::List(list) => Ok(list),
@@ -225,10 +204,6 @@ impl At<Item> {
     }
 
     /// A table.
-    ///
-    /// # Errors
-    ///
-    /// It is none.
     pub fn table(&self) -> Result<&Section, Misfit> {
         match &self.value {
             Item::Table(section) => Ok(section),
