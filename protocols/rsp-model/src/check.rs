@@ -186,13 +186,13 @@ fn element(section: &Section, before: &[Draft]) -> Result<Draft, Found> {
         return Err(Found::new(Fault::NameTwice, &name.span, words));
     }
     let kind = choice(keys.required("kind")?, "kind of element", &KINDS)?;
-    only_keys_of(kind, &keys)?;
+    only_keys_of(kind, keys)?;
     let of = match kind {
         Kind::Monitor => Some(word(keys.required("of")?)?),
         _ => None,
     };
     let members = match kind {
-        Kind::Module => members(&keys)?,
+        Kind::Module => members(keys)?,
         _ => Vec::new(),
     };
     let mut element = ModelElement {
@@ -212,15 +212,15 @@ fn element(section: &Section, before: &[Draft]) -> Result<Draft, Found> {
         lasts: integer(keys, "lasts", 0..=60_000, Some(0))?,
         of: None,
         module: None,
-        doc: doc(&keys)?,
+        doc: doc(keys)?,
         digest: 0,
     };
-    match payload(&keys, kind)? {
-        Payload::Numbers(of, count) => numbers(&keys, &mut element, of, count)?,
+    match payload(keys, kind)? {
+        Payload::Numbers(of, count) => numbers(keys, &mut element, of, count)?,
         other => {
-            no_keys_of_numbers(&keys, other)?;
+            no_keys_of_numbers(keys, other)?;
             element.payload = other;
-            element.sound = sound(&keys, other)?;
+            element.sound = sound(keys, other)?;
             if let (Kind::Effector, Payload::Bytes(_)) = (kind, other) {
                 // No bytes: their number alone.
                 element.safe = vec![0, 0];
@@ -306,7 +306,7 @@ fn payload(keys: &Section, kind: Kind) -> Result<Payload, Found> {
 }
 
 /// A key that is of bytes alone.
-fn of_bytes<'k>(keys: &'k Section) -> Option<(&'static str, &'k Range<usize>)> {
+fn of_bytes(keys: &Section) -> Option<(&'static str, &Range<usize>)> {
     ["max", "sound"]
         .into_iter()
         .find_map(|key| Some((key, keys.key_span(key)?)))
