@@ -231,7 +231,8 @@ fn read(text: &str) -> Result<Fleet, Found> {
     let mut addresses = HashMap::new();
     for keys in listed {
         let (robot, [unit_span, address_span]) = read_robot(keys)?;
-        if let Some(line) = units.insert(robot.unit, Spot::of(text, unit_span.start).line) {
+        if let Some(start) = units.insert(robot.unit, unit_span.start) {
+            let line = Spot::of(text, start).line;
             let text = format!("unit {} is in line {line} already", robot.unit);
             return Err(Found::new(FleetFault::UnitTwice, unit_span, text));
         }

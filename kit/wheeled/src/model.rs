@@ -50,32 +50,14 @@ enum Plugged {
 const MOTOR_PORTS: [&str; 3] = ["A", "B", "C"];
 const SENSOR_PORTS: [&str; 4] = ["1", "2", "3", "4"];
 
-impl Plugged {
-    const ALL: [Self; 5] = [
-        Self::LeftMotor,
-        Self::RightMotor,
-        Self::TouchFront,
-        Self::TouchRear,
-        Self::Light,
-    ];
-
-    const fn word(self) -> &'static str {
-        match self {
-            Self::LeftMotor => "left-motor",
-            Self::RightMotor => "right-motor",
-            Self::TouchFront => "touch-front",
-            Self::TouchRear => "touch-rear",
-            Self::Light => "light",
-        }
-    }
-
-    const fn ports(self) -> &'static [&'static str] {
-        match self {
-            Self::LeftMotor | Self::RightMotor => &MOTOR_PORTS,
-            Self::TouchFront | Self::TouchRear | Self::Light => &SENSOR_PORTS,
-        }
-    }
-}
+/// The parts: how the file calls each, and at which ports it can be.
+const PARTS: [(Plugged, &str, &[&str]); 5] = [
+    (Plugged::LeftMotor, "left-motor", &MOTOR_PORTS),
+    (Plugged::RightMotor, "right-motor", &MOTOR_PORTS),
+    (Plugged::TouchFront, "touch-front", &SENSOR_PORTS),
+    (Plugged::TouchRear, "touch-rear", &SENSOR_PORTS),
+    (Plugged::Light, "light", &SENSOR_PORTS),
+];
 
 impl Model {
     /// Reads a model's file.
@@ -150,29 +132,29 @@ fn read_power(keys: &Section) -> Result<Power, Found> {
 }
 
 /// What is plugged in.
-fn plugged(ports: &Section) -> Result<Vec<Plugged>, Found> {
+fn plugged(section: &Section) -> Result<Vec<Plugged>, Found> {
     let mut all = Vec::new();
-    for (port, value) in &ports.entries {
+    for (port, value) in &section.entries {
         let wrong = |text: String| Err(Found::new((), &value.span, text));
         let word = value.text()?;
-        let Some(part) = Plugged::ALL.into_iter().find(|part| part.word() == word) else {
-            return wrong(unknown("part", word, &Plugged::ALL.map(Plugged::word)));
+        let Some((part, _, ports)) = PARTS.iter().find(|(_, known, _)| *known == word) else {
+            return wrong(unknown("part", word, &PARTS.map(|(_, known, _)| known)));
         };
-        if !part.ports().contains(&port.value.as_str()) {
-            let (ports, port) = (part.ports().join(", "), quoted(&port.value));
+        if !ports.contains(&port.value.as_str()) {
+            let (ports, port) = (ports.join(", "), quoted(&port.value));
             return wrong(format!(
                 "`{word}` is plugged in at one of {ports}, and not at `{port}`"
             ));
         }
-        if all.contains(&part) {
+        if all.contains(part) {
             return wrong(format!("`{word}` is plugged in already"));
         }
-        all.push(part);
+        all.push(*part);
     }
-    for motor in [Plugged::LeftMotor, Plugged::RightMotor] {
-        if !all.contains(&motor) {
-            let text = format!("`{}` is missing: a rover has two motors", motor.word());
-            return Err(Found::new((), &ports.span, text));
+    for (motor, word, _) in &PARTS[..2] {
+        if !all.contains(motor) {
+            let text = format!("`{word}` is missing: a rover has two motors");
+            return Err(Found::new((), &section.span, text));
         }
     }
     Ok(all)
