@@ -17,10 +17,7 @@ use std::fmt;
 use std::net::{IpAddr, Ipv6Addr};
 use std::ops::Range;
 
-use toml::Spanned;
-use toml::de::{DeTable, DeValue};
-
-use crate::words::{Spot, hint, quoted};
+use mom_toml_faults::{At, Item, Section, Shape, Spot, quoted};
 
 /// The number by which people call a robot (W14): 1 to 99 999.
 pub type Unit = u32;
@@ -162,31 +159,18 @@ pub enum FleetFault {
 }
 
 /// What is wrong in a fleet's file, and where.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{spot}: {text}")]
-pub struct FleetError {
-    fault: FleetFault,
-    spot: Spot,
-    text: String,
-}
+pub type FleetError = mom_toml_faults::FileError<FleetFault>;
 
-impl FleetError {
-    /// What kind of fault it is.
-    #[must_use]
-    pub const fn fault(&self) -> FleetFault {
-        self.fault
-    }
+type Found = mom_toml_faults::Found<FleetFault>;
 
-    /// What is wrong, without its place.
-    #[must_use]
-    pub fn words(&self) -> &str {
-        &self.text
-    }
-
-    /// Where it is.
-    #[must_use]
-    pub const fn spot(&self) -> Spot {
-        self.spot
+impl From<Shape> for FleetFault {
+    fn from(shape: Shape) -> FleetFault {
+        match shape {
+            Shape::Syntax => FleetFault::Syntax,
+            Shape::UnknownKey => FleetFault::UnknownKey,
+            Shape::MissingKey => FleetFault::MissingKey,
+            Shape::Type => FleetFault::Type,
+        }
     }
 }
 
@@ -208,11 +192,7 @@ impl Fleet {
     ///
     /// The first fault, and its place. Then nothing of the file is taken.
     pub fn parse(text: &str) -> Result<Fleet, FleetError> {
-        read(text).map_err(|found| FleetError {
-            fault: found.fault,
-            spot: Spot::of(text, found.span.start),
-            text: found.text,
-        })
+        read(text).map_err(|found| found.at(text))
     }
 
     /// The robots, by unit number.
@@ -236,50 +216,29 @@ impl Fleet {
     }
 }
 
-/// A fault at bytes of the text.
-struct Found {
-    fault: FleetFault,
-    span: Range<usize>,
-    text: String,
-}
-
-fn found(fault: FleetFault, span: Range<usize>, text: String) -> Found {
-    Found { fault, span, text }
-}
-
-type Value<'i> = Spanned<DeValue<'i>>;
-
 fn read(text: &str) -> Result<Fleet, Found> {
-    let root = DeTable::parse(text).map_err(|error| {
-        let span = error.span().unwrap_or(0..0);
-        found(FleetFault::Syntax, span, error.message().to_owned())
-    })?;
-    known_keys(root.get_ref(), &["robot"])?;
-    let none = || found(FleetFault::Empty, 0..0, "there is no `[[robot]]`".to_owned());
-    let value = root.get_ref().get("robot").ok_or_else(none)?;
-    let list = value
-        .get_ref()
-        .as_array()
-        .ok_or_else(|| wrong_type(value, "a list of tables"))?;
-    if list.is_empty() {
-        return Err(none());
+    let root = Section::parse(text)?;
+    let listed = root.only(&["robot"])?.tables("robot")?;
+    if listed.is_empty() {
+        return Err(Found::new(FleetFault::Empty, &(0..0), "there is no `[[robot]]`"));
     }
-    if let Some(first) = list.get(MOST_ROBOTS) {
-        let text = format!("{} robots are too many: there may be {MOST_ROBOTS}", list.len());
-        return Err(found(FleetFault::TooMany, first.span(), text));
+    if let Some(first) = listed.get(MOST_ROBOTS) {
+        let text = format!("{} robots are too many: there may be {MOST_ROBOTS}", listed.len());
+        return Err(Found::new(FleetFault::TooMany, &first.span, text));
     }
-    let mut robots = Vec::with_capacity(list.len());
+    let mut robots = Vec::with_capacity(listed.len());
     let mut units = HashMap::new();
     let mut addresses = HashMap::new();
-    for value in list {
-        let (robot, [unit_span, address_span]) = read_robot(value)?;
-        if let Some(line) = units.insert(robot.unit, Spot::of(text, unit_span.start).line) {
+    for keys in listed {
+        let (robot, [unit_span, address_span]) = read_robot(keys)?;
+        if let Some(start) = units.insert(robot.unit, unit_span.start) {
+            let line = Spot::of(text, start).line;
             let text = format!("unit {} is in line {line} already", robot.unit);
-            return Err(found(FleetFault::UnitTwice, unit_span, text));
+            return Err(Found::new(FleetFault::UnitTwice, unit_span, text));
         }
         if let Some(other) = addresses.insert(robot.address.clone(), robot.unit) {
             let text = format!("{} is the address of unit {other} already", robot.address);
-            return Err(found(FleetFault::AddressTwice, address_span, text));
+            return Err(Found::new(FleetFault::AddressTwice, address_span, text));
         }
         robots.push(robot);
     }
@@ -288,65 +247,38 @@ fn read(text: &str) -> Result<Fleet, Found> {
 }
 
 /// A robot, and where its unit number and its address are.
-fn read_robot(value: &Value<'_>) -> Result<(Robot, [Range<usize>; 2]), Found> {
-    let table = value
-        .get_ref()
-        .as_table()
-        .ok_or_else(|| wrong_type(value, "a table"))?;
-    known_keys(table, &["unit", "address", "name", "group"])?;
-    let required = |key: &str| {
-        let missing = || {
-            found(
-                FleetFault::MissingKey,
-                value.span(),
-                format!("`{key}` is missing"),
-            )
-        };
-        table.get(key).ok_or_else(missing)
-    };
-    let unit_value = required("unit")?;
-    let number = unit_value
-        .get_ref()
-        .as_integer()
-        .ok_or_else(|| wrong_type(unit_value, "an integer"))?;
-    let number = i64::from_str_radix(number.as_str(), number.radix()).ok();
+fn read_robot(keys: &Section) -> Result<(Robot, [&Range<usize>; 2]), Found> {
+    keys.only(&["unit", "address", "name", "group"])?;
+    let unit_value = keys.required("unit")?;
     let in_range = |number: &Unit| (1..=HIGHEST_UNIT).contains(number);
-    let unit = number
-        .and_then(|number| Unit::try_from(number).ok())
-        .filter(in_range);
-    let Some(unit) = unit else {
+    let Some(unit) = Unit::try_from(unit_value.integer()?).ok().filter(in_range) else {
         let text = format!("a unit number is 1 to {HIGHEST_UNIT}");
-        return Err(found(FleetFault::Unit, unit_value.span(), text));
+        return Err(Found::new(FleetFault::Unit, &unit_value.span, text));
     };
-    let address_value = required("address")?;
-    let address = text_of(address_value)?;
-    let address =
-        Address::parse(address).map_err(|text| found(FleetFault::Address, address_value.span(), text))?;
-    let name = match table.get("name") {
-        None => None,
-        Some(value) => {
-            let name = text_of(value)?;
-            let length = name.chars().count();
-            if name.trim().is_empty() || length > LONGEST_NAME || name.chars().any(char::is_control) {
-                let text =
-                    format!("a name has 1 to {LONGEST_NAME} characters, none of them a control character");
-                return Err(found(FleetFault::Name, value.span(), text));
-            }
-            Some(name.to_owned())
-        }
-    };
-    let group = table.get("group").map(read_group).transpose()?;
+    let address_value = keys.required("address")?;
+    let address = Address::parse(address_value.text()?)
+        .map_err(|text| Found::new(FleetFault::Address, &address_value.span, text))?;
     let robot = Robot {
         unit,
         address,
-        name,
-        group,
+        name: keys.get("name").map(read_name).transpose()?,
+        group: keys.get("group").map(read_group).transpose()?,
     };
-    Ok((robot, [unit_value.span(), address_value.span()]))
+    Ok((robot, [&unit_value.span, &address_value.span]))
 }
 
-fn read_group(value: &Value<'_>) -> Result<String, Found> {
-    let group = text_of(value)?;
+fn read_name(value: &At<Item>) -> Result<String, Found> {
+    let name = value.text()?;
+    let length = name.chars().count();
+    if name.trim().is_empty() || length > LONGEST_NAME || name.chars().any(char::is_control) {
+        let text = format!("a name has 1 to {LONGEST_NAME} characters, none of them a control character");
+        return Err(Found::new(FleetFault::Name, &value.span, text));
+    }
+    Ok(name.to_owned())
+}
+
+fn read_group(value: &At<Item>) -> Result<String, Found> {
+    let group = value.text()?;
     let is_word = (1..=LONGEST_GROUP).contains(&group.len())
         && group
             .bytes()
@@ -358,31 +290,7 @@ fn read_group(value: &Value<'_>) -> Result<String, Found> {
         "a group is a letter and up to {} letters, digits, `-` and `_` more, and not `all`, `status` or `token`",
         LONGEST_GROUP - 1
     );
-    Err(found(FleetFault::Group, value.span(), text))
-}
-
-fn known_keys(table: &DeTable<'_>, known: &[&str]) -> Result<(), Found> {
-    for key in table.keys() {
-        let word = key.get_ref().as_ref();
-        if !known.contains(&word) {
-            let text = format!("there is no key `{}`; {}", quoted(word), hint(word, known));
-            return Err(found(FleetFault::UnknownKey, key.span(), text));
-        }
-    }
-    Ok(())
-}
-
-fn text_of<'v>(value: &'v Value<'_>) -> Result<&'v str, Found> {
-    value
-        .get_ref()
-        .as_str()
-        .ok_or_else(|| wrong_type(value, "a text"))
-}
-
-fn wrong_type(value: &Value<'_>, expected: &str) -> Found {
-    let given = value.get_ref().type_str();
-    let text = format!("{expected} is expected here, and this is of type {given}");
-    found(FleetFault::Type, value.span(), text)
+    Err(Found::new(FleetFault::Group, &value.span, text))
 }
 
 #[cfg(test)]
@@ -446,12 +354,12 @@ mod tests {
             (
                 "robot = 1".to_owned(),
                 Type,
-                "line 1, column 9: a list of tables is expected here, and this is of type integer",
+                "line 1, column 9: a list of tables is expected here, and this is an integer: write `[[robot]]`",
             ),
             (
                 "robot = [1]".to_owned(),
                 Type,
-                "line 1, column 10: a table is expected here, and this is of type integer",
+                "line 1, column 10: a table is expected here, and this is an integer: write `[[robot]]`",
             ),
             (
                 "[[robot]]\nunit = 1\n".to_owned(),
@@ -466,7 +374,7 @@ mod tests {
             (
                 robot("\"1\"", "a:1"),
                 Type,
-                "line 2, column 8: an integer is expected here, and this is of type string",
+                "line 2, column 8: an integer is expected here, and this is a text",
             ),
             (
                 robot(0, "a:1"),

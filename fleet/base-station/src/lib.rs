@@ -38,6 +38,5 @@ pub mod log;
 pub mod play;
 pub mod script;
 pub mod station;
-mod words;
 
-pub use words::Spot;
+pub use mom_toml_faults::Spot;

@@ -1,10 +1,7 @@
 //! A robot's model: its geometry, its battery, and what is plugged into the ports of its hub, as a file says.
 
-use std::collections::BTreeMap;
-
+use mom_toml_faults::{At, Section, quoted, unknown};
 use mom_wheels::{Chassis, Fittings, Power, switch};
-use serde::Deserialize;
-use toml::Spanned;
 
 /// What a robot is like: `config/lego.toml` is one in its file's form.
 ///
@@ -35,66 +32,12 @@ impl Model {
 }
 
 /// What is wrong with a model's file, and where.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("line {line}, column {column}: {text}")]
-pub struct ModelError {
-    line: usize,
-    column: usize,
-    text: String,
-}
+pub type ModelError = mom_toml_faults::FileError<()>;
 
-impl ModelError {
-    /// A fault at a byte of the text.
-    fn at(source: &str, byte: usize, text: String) -> Self {
-        let before = source.get(..byte).unwrap_or(source);
-        let line = before.rsplit('\n').next().unwrap_or_default();
-        Self {
-            line: before.matches('\n').count() + 1,
-            column: line.chars().count() + 1,
-            text,
-        }
-    }
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
-struct File {
-    chassis: Spanned<ChassisPart>,
-    power: Spanned<PowerPart>,
-    ports: Spanned<BTreeMap<String, Spanned<Plugged>>>,
-    #[serde(default)]
-    sensors: Sensing,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
-struct ChassisPart {
-    wheel_base: f64,
-    radius: f64,
-    full_speed: f64,
-    lag: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
-struct PowerPart {
-    capacity: f64,
-    idle: f64,
-    wheel: f64,
-    led: f64,
-    charger: f64,
-}
-
-#[derive(Deserialize, Default)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields, default)]
-struct Sensing {
-    odometry: bool,
-    light_ahead: f64,
-}
+type Found = mom_toml_faults::Found<()>;
 
 /// What can be plugged in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Plugged {
     LeftMotor,
     RightMotor,
@@ -107,24 +50,14 @@ enum Plugged {
 const MOTOR_PORTS: [&str; 3] = ["A", "B", "C"];
 const SENSOR_PORTS: [&str; 4] = ["1", "2", "3", "4"];
 
-impl Plugged {
-    const fn word(self) -> &'static str {
-        match self {
-            Self::LeftMotor => "left-motor",
-            Self::RightMotor => "right-motor",
-            Self::TouchFront => "touch-front",
-            Self::TouchRear => "touch-rear",
-            Self::Light => "light",
-        }
-    }
-
-    const fn ports(self) -> &'static [&'static str] {
-        match self {
-            Self::LeftMotor | Self::RightMotor => &MOTOR_PORTS,
-            Self::TouchFront | Self::TouchRear | Self::Light => &SENSOR_PORTS,
-        }
-    }
-}
+/// The parts: how the file calls each, and at which ports it can be.
+const PARTS: [(Plugged, &str, &[&str]); 5] = [
+    (Plugged::LeftMotor, "left-motor", &MOTOR_PORTS),
+    (Plugged::RightMotor, "right-motor", &MOTOR_PORTS),
+    (Plugged::TouchFront, "touch-front", &SENSOR_PORTS),
+    (Plugged::TouchRear, "touch-rear", &SENSOR_PORTS),
+    (Plugged::Light, "light", &SENSOR_PORTS),
+];
 
 impl Model {
     /// Reads a model's file.
@@ -133,78 +66,96 @@ impl Model {
     ///
     /// The first fault, and its place.
     pub fn parse(text: &str) -> Result<Self, ModelError> {
-        let file: File = toml::from_str(text).map_err(|error| {
-            let at = error.span().map_or(0, |span| span.start);
-            ModelError::at(text, at, error.message().to_owned())
-        })?;
-        let plugged = plugged(&file).map_err(|(at, words)| ModelError::at(text, at, words))?;
-        let part = file.chassis.get_ref();
-        let chassis = Chassis {
-            wheel_base: part.wheel_base,
-            radius: part.radius,
-            full_speed: part.full_speed,
-            lag: part.lag,
-        };
-        let wrong = |at: usize, error: mom_wheels::SetupError| ModelError::at(text, at, error.to_string());
-        chassis
-            .check()
-            .map_err(|error| wrong(file.chassis.span().start, error))?;
-        let part = file.power.get_ref();
-        let power = Power {
-            capacity: part.capacity,
-            idle: part.idle,
-            wheel: part.wheel,
-            led: part.led,
-            charger: part.charger,
-        };
-        power
-            .check()
-            .map_err(|error| wrong(file.power.span().start, error))?;
-        let has = |part| plugged.contains(&part);
-        let switches = |part, mask| if has(part) { mask } else { 0 };
-        let fittings = Fittings {
-            switches: switches(Plugged::TouchFront, switch::FRONT)
-                | switches(Plugged::TouchRear, switch::REAR),
-            leds: 0,
-            light: has(Plugged::Light).then_some(file.sensors.light_ahead),
-            odometry: file.sensors.odometry,
-        };
-        Ok(Self {
-            chassis,
-            power,
-            fittings,
-        })
+        read(text).map_err(|found| found.at(text))
     }
 }
 
-/// What is plugged in; else what is wrong with it, at which byte.
-fn plugged(file: &File) -> Result<Vec<Plugged>, (usize, String)> {
+fn read(text: &str) -> Result<Model, Found> {
+    let root = Section::parse(text)?;
+    root.only(&["chassis", "power", "ports", "sensors"])?;
+    let chassis = read_chassis(root.required("chassis")?.table()?)?;
+    let power = read_power(root.required("power")?.table()?)?;
+    let (mut odometry, mut ahead) = (false, 0.0);
+    if let Some(sensors) = root.get("sensors") {
+        let sensors = sensors.table()?.only(&["odometry", "light-ahead"])?;
+        odometry = sensors.get("odometry").map_or(Ok(odometry), At::flag)?;
+        ahead = sensors.get("light-ahead").map_or(Ok(ahead), At::number)?;
+    }
+    let ports = root.required("ports")?.table()?;
+    let plugged = plugged(ports)?;
+    let has = |part| plugged.contains(&part);
+    if has(Plugged::Light) && !(0.0..=1000.0).contains(&ahead) {
+        let text = format!("`light-ahead` is {ahead}, but may be only from 0 to 1000");
+        return Err(Found::new((), &ports.span, text));
+    }
+    let switches = |part, mask| if has(part) { mask } else { 0 };
+    let fittings = Fittings {
+        switches: switches(Plugged::TouchFront, switch::FRONT) | switches(Plugged::TouchRear, switch::REAR),
+        leds: 0,
+        light: has(Plugged::Light).then_some(ahead),
+        odometry,
+    };
+    Ok(Model {
+        chassis,
+        power,
+        fittings,
+    })
+}
+
+fn read_chassis(keys: &Section) -> Result<Chassis, Found> {
+    keys.only(&["wheel-base", "radius", "full-speed", "lag"])?;
+    let number = |key| keys.required(key)?.number();
+    let chassis = Chassis {
+        wheel_base: number("wheel-base")?,
+        radius: number("radius")?,
+        full_speed: number("full-speed")?,
+        lag: number("lag")?,
+    };
+    let checked = chassis.check();
+    checked.map_err(|error| Found::new((), &keys.span, error.to_string()))?;
+    Ok(chassis)
+}
+
+fn read_power(keys: &Section) -> Result<Power, Found> {
+    keys.only(&["capacity", "idle", "wheel", "led", "charger"])?;
+    let number = |key| keys.required(key)?.number();
+    let power = Power {
+        capacity: number("capacity")?,
+        idle: number("idle")?,
+        wheel: number("wheel")?,
+        led: number("led")?,
+        charger: number("charger")?,
+    };
+    let checked = power.check();
+    checked.map_err(|error| Found::new((), &keys.span, error.to_string()))?;
+    Ok(power)
+}
+
+/// What is plugged in.
+fn plugged(section: &Section) -> Result<Vec<Plugged>, Found> {
     let mut all = Vec::new();
-    for (port, part) in file.ports.get_ref() {
-        let (at, part) = (part.span().start, *part.get_ref());
-        let word = part.word();
-        if !part.ports().contains(&port.as_str()) {
-            let ports = part.ports().join(", ");
-            return Err((
-                at,
-                format!("`{word}` is plugged in at one of {ports}, and not at `{port}`"),
+    for (port, value) in &section.entries {
+        let wrong = |text: String| Err(Found::new((), &value.span, text));
+        let word = value.text()?;
+        let Some((part, _, ports)) = PARTS.iter().find(|(_, known, _)| *known == word) else {
+            return wrong(unknown("part", word, &PARTS.map(|(_, known, _)| known)));
+        };
+        if !ports.contains(&port.value.as_str()) {
+            let (ports, port) = (ports.join(", "), quoted(&port.value));
+            return wrong(format!(
+                "`{word}` is plugged in at one of {ports}, and not at `{port}`"
             ));
         }
-        if all.contains(&part) {
-            return Err((at, format!("`{word}` is plugged in already")));
+        if all.contains(part) {
+            return wrong(format!("`{word}` is plugged in already"));
         }
-        all.push(part);
+        all.push(*part);
     }
-    for motor in [Plugged::LeftMotor, Plugged::RightMotor] {
-        if !all.contains(&motor) {
-            let text = format!("`{}` is missing: a rover has two motors", motor.word());
-            return Err((file.ports.span().start, text));
+    for (motor, word, _) in &PARTS[..2] {
+        if !all.contains(motor) {
+            let text = format!("`{word}` is missing: a rover has two motors");
+            return Err(Found::new((), &section.span, text));
         }
-    }
-    let ahead = file.sensors.light_ahead;
-    if all.contains(&Plugged::Light) && !(0.0..=1000.0).contains(&ahead) {
-        let text = format!("`light-ahead` is {ahead}, but may be only from 0 to 1000");
-        return Err((file.ports.span().start, text));
     }
     Ok(all)
 }
@@ -221,7 +172,7 @@ mod tests {
             (
                 "1 = \"touch-front\"",
                 "1 = \"gyro\"",
-                "line 24, column 5: unknown variant `gyro`",
+                "line 24, column 5: there is no part `gyro`; there are `left-motor`, `right-motor`",
             ),
             (
                 "1 = \"touch-front\"",
@@ -245,7 +196,17 @@ mod tests {
                 "radius is 0, but may be only from 1 to 10000",
             ),
             ("capacity = 32_400", "capacity = nan", "capacity is NaN"),
-            ("lag = 0.06", "leg = 0.06", "unknown field `leg`"),
+            (
+                "lag = 0.06",
+                "leg = 0.06",
+                "line 11, column 1: there is no key `leg`; did you mean `lag`?",
+            ),
+            (
+                "lag = 0.06",
+                "lag = true",
+                "line 11, column 7: a number is expected here, and this is true or false",
+            ),
+            ("lag = 0.06", "", "line 7, column 1: `lag` is missing"),
             ("light-ahead = 60", "light-ahead = -1", "`light-ahead` is -1"),
             ("[power]", "[power", "line 13, column"),
         ] {

@@ -205,7 +205,7 @@ impl FromStr for Network {
         match network == address {
             true => Ok(Network { address, prefix }),
             false => Err(format!(
-                "{text} has bits behind its prefix; did you mean {network}/{prefix}?"
+                "{text} has bits behind its prefix; did you mean `{network}/{prefix}`?"
             )),
         }
     }

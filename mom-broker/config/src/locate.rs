@@ -62,7 +62,7 @@ impl Config {
         keys.extend(slot.split('/').filter(|key| !key.is_empty()));
         let nearest = error.get("nearest").and_then(Value::as_str);
         let hint = nearest
-            .map(|nearest| format!(" (did you mean {nearest}?)"))
+            .map(|nearest| format!(" (did you mean `{nearest}`?)"))
             .unwrap_or_default();
         let text = format!("{}{hint}", error.text);
         self.remark(&keys, text)

@@ -1,6 +1,6 @@
 //! What does not have the shape that the schema gives it: unknown keys, wrong types, words that are none of those known.
 
-use mom_proto::nearest::nearest;
+use mom_toml_faults::{hint, nearest, unknown};
 use serde_json::Value;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -84,16 +84,19 @@ impl Shape<'_> {
         }
         if !fits(schema, value) {
             let mut text = self.instead(schema, value);
-            let words = schema["enum"].as_array().map(Vec::as_slice).unwrap_or_default();
-            let near = value
-                .as_str()
-                .and_then(|word| nearest(word, words.iter().filter_map(Value::as_str)));
+            let words: Vec<&str> = schema["enum"]
+                .as_array()
+                .into_iter()
+                .flatten()
+                .filter_map(Value::as_str)
+                .collect();
+            let near = value.as_str().and_then(|word| nearest(word, &words));
             if let Some(near) = near {
                 // Of many words the near one says enough.
                 if words.len() > WORDS {
                     text = format!("{} is not known here", shown(value));
                 }
-                text.push_str(&format!("; did you mean {near}?"));
+                text.push_str(&format!("; did you mean `{near}`?"));
             }
             return self.tell(text, near);
         }
@@ -135,12 +138,8 @@ impl Shape<'_> {
                     self.keys.pop();
                 }
                 (None, Value::Bool(false)) => {
-                    let names = || known.keys().map(String::as_str);
-                    let hint = match nearest(key, names()) {
-                        Some(near) => format!("did you mean {near}?"),
-                        None => format!("known are {}", names().collect::<Vec<_>>().join(", ")),
-                    };
-                    self.tell_at(key, format!("there is no key {key:?} here; {hint}"), None);
+                    let names: Vec<&str> = known.keys().map(String::as_str).collect();
+                    self.tell_at(key, unknown("key", key, &names), None);
                 }
                 (None, _) => {}
             }
@@ -150,21 +149,16 @@ impl Shape<'_> {
     /// One of several shapes: that of a manager goes by its kind.
     fn any(&mut self, schema: &Value, any: &[Value], value: &DeValue<'_>) {
         let shapes: Vec<&Value> = any.iter().map(|shape| resolve(self.schema, shape)).collect();
-        let kind_of = |shape: &Value| shape["properties"]["kind"]["enum"][0].as_str().map(str::to_owned);
         if let DeValue::Table(table) = value {
-            let kinds: Vec<String> = shapes.iter().filter_map(|shape| kind_of(shape)).collect();
+            let kinds: Vec<&str> = shapes.iter().filter_map(|shape| kind_of(shape)).collect();
             let kind = table.get("kind").map(Spanned::get_ref);
             let word = kind.and_then(DeValue::as_str).unwrap_or_default();
-            let named = |shape: &&&Value| kind_of(shape).is_some_and(|kind| kind == word);
+            let named = |shape: &&&Value| kind_of(shape) == Some(word);
             if let Some(shape) = shapes.iter().find(named) {
                 return self.table(shape, table);
             }
             if !kinds.is_empty() {
-                let near = nearest(word, kinds.iter().map(String::as_str));
-                let hint = match near {
-                    Some(near) => format!("did you mean {near}?"),
-                    None => format!("known are {}", kinds.join(", ")),
-                };
+                let (near, hint) = (nearest(word, &kinds), hint(word, &kinds));
                 let text = match kind {
                     None => format!("a manager needs its kind; {hint}"),
                     Some(kind) => format!("there is no kind of manager {}; {hint}", shown(kind)),
@@ -177,6 +171,11 @@ impl Shape<'_> {
             None => self.tell(self.instead(schema, value), None),
         }
     }
+}
+
+/// The kind of the managers of this shape.
+fn kind_of(shape: &Value) -> Option<&str> {
+    shape["properties"]["kind"]["enum"][0].as_str()
 }
 
 fn resolve<'a>(root: &'a Value, schema: &'a Value) -> &'a Value {

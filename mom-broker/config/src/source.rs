@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
+use mom_toml_faults::Spot;
 use serde::de::DeserializeOwned;
 use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue, Deserializer};
@@ -33,7 +34,8 @@ impl SourceText {
     pub(super) fn syntax(&self) -> Vec<ConfigError> {
         let mut told: Vec<ConfigError> = Vec::new();
         for error in DeTable::parse_recoverable(&self.text).1 {
-            let line = error.span().map(|span| self.line_at(span.start));
+            let spot = error.span().map(|span| Spot::of(&self.text, span.start));
+            let line = spot.map(|spot| spot.line);
             if told.iter().any(|told| told.line == line) {
                 continue;
             }
@@ -41,7 +43,7 @@ impl SourceText {
             let text = text.unwrap_or_else(|| error.message().lines().next().unwrap_or_default().to_owned());
             told.push(ConfigError {
                 line,
-                column: error.span().map(|span| self.column_at(span.start)),
+                column: spot.map(|spot| spot.column),
                 key: line.and_then(|line| self.key_on(line)),
                 ..ConfigError::of_file(&self.name, text)
             });
@@ -122,10 +124,10 @@ impl SourceText {
     }
 
     fn error_at(&self, keys: Vec<String>, text: String) -> ConfigError {
-        let offset = self.offset_of(&keys);
+        let spot = self.spot_of(&keys);
         ConfigError {
-            line: offset.map(|offset| self.line_at(offset)),
-            column: offset.map(|offset| self.column_at(offset)),
+            line: spot.map(|spot| spot.line),
+            column: spot.map(|spot| spot.column),
             key: Some(key_text(&keys)),
             at: Box::new(FaultPlace { keys, meant: None }),
             ..ConfigError::of_file(&self.name, text)
@@ -137,7 +139,7 @@ impl SourceText {
         let keys = self.written(keys);
         Some(Location {
             file: self.name.clone(),
-            line: self.line_at(self.offset_of(&keys)?),
+            line: self.spot_of(&keys)?.line,
             key: key_text(&keys),
         })
     }
@@ -235,17 +237,6 @@ impl SourceText {
         self.struck.keys().filter_map(name).collect()
     }
 
-    fn line_at(&self, offset: usize) -> usize {
-        let before = self.text.as_bytes().iter().take(offset);
-        before.filter(|byte| **byte == b'\n').count() + 1
-    }
-
-    fn column_at(&self, offset: usize) -> usize {
-        let before = self.text.get(..offset).unwrap_or_default();
-        let line = before.rsplit('\n').next().unwrap_or_default();
-        line.chars().count() + 1
-    }
-
     /// The key on a line.
     fn key_on(&self, line: usize) -> Option<String> {
         let line = self.text.lines().nth(line - 1)?;
@@ -272,7 +263,8 @@ impl SourceText {
         found.1
     }
 
-    fn offset_of(&self, keys: &[String]) -> Option<usize> {
+    /// Where the key is, or the nearest above it.
+    fn spot_of(&self, keys: &[String]) -> Option<Spot> {
         let whole = DeValue::Table(self.whole().into_inner());
         let (mut value, mut offset) = (&whole, None);
         for key in keys {
@@ -281,7 +273,7 @@ impl SourceText {
             };
             (value, offset) = (found.get_ref(), Some(at));
         }
-        offset
+        Some(Spot::of(&self.text, offset?))
     }
 }
 

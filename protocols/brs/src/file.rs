@@ -8,15 +8,13 @@
 
 use std::borrow::ToOwned;
 use std::boxed::Box;
-use std::fmt;
 use std::format;
 use std::ops::Range;
 use std::string::{String, ToString};
 use std::sync::LazyLock;
 use std::vec::Vec;
 
-use toml::Spanned;
-use toml::de::{DeTable, DeValue};
+use mom_toml_faults::{At, Item, Section, Shape};
 
 use crate::MOST;
 use crate::number::{HIGHEST, LOWEST};
@@ -60,35 +58,18 @@ pub enum FileFault {
 }
 
 /// What is wrong in a file, and where.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct FileError {
-    fault: FileFault,
-    line: usize,
-    column: usize,
-    text: String,
-}
+pub type FileError = mom_toml_faults::FileError<FileFault>;
 
-impl FileError {
-    /// What kind of fault it is.
-    #[must_use]
-    pub const fn fault(&self) -> FileFault {
-        self.fault
-    }
-
-    /// The line and the column, in characters, at which it is; 1 for the first.
-    #[must_use]
-    pub const fn place(&self) -> (usize, usize) {
-        (self.line, self.column)
+impl From<Shape> for FileFault {
+    fn from(shape: Shape) -> FileFault {
+        match shape {
+            Shape::Syntax => FileFault::Syntax,
+            Shape::UnknownKey => FileFault::UnknownKey,
+            Shape::MissingKey => FileFault::MissingKey,
+            Shape::Type => FileFault::Type,
+        }
     }
 }
-
-impl fmt::Display for FileError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "line {}, column {}: {}", self.line, self.column, self.text)
-    }
-}
-
-impl std::error::Error for FileError {}
 
 /// The table of a file's text: the paper's four commands and those of the file.
 ///
@@ -120,36 +101,12 @@ pub fn table(text: &str) -> Result<&'static Table, FileError> {
         .collect();
     let table = Table::new(commands.leak()).map_err(|fault| {
         // All that a table refuses was refused above, with its place.
-        Found::new(FileFault::Syntax, 0..0, fault.to_string()).at(text)
+        Found::new(FileFault::Syntax, &(0..0), fault.to_string()).at(text)
     })?;
     Ok(Box::leak(Box::new(table)))
 }
 
-/// A fault at bytes of the text.
-struct Found {
-    fault: FileFault,
-    span: Range<usize>,
-    text: String,
-}
-
-impl Found {
-    fn new(fault: FileFault, span: Range<usize>, text: String) -> Found {
-        Found { fault, span, text }
-    }
-
-    fn at(self, text: &str) -> FileError {
-        let before = text.get(..self.span.start).unwrap_or(text);
-        let line_start = before.rfind('\n').map_or(0, |end| end + 1);
-        FileError {
-            fault: self.fault,
-            line: before.matches('\n').count() + 1,
-            column: before
-                .get(line_start..)
-                .map_or(1, |start| start.chars().count() + 1),
-            text: self.text,
-        }
-    }
-}
+type Found = mom_toml_faults::Found<FileFault>;
 
 /// A command as the file lists it.
 struct Listed {
@@ -183,26 +140,20 @@ fn leak_parameters(parameters: Vec<ListedParameter>) -> &'static [Parameter] {
     parameters.leak()
 }
 
-type Value<'i> = Spanned<DeValue<'i>>;
-
 fn read(text: &str) -> Result<Vec<Listed>, Found> {
-    let root = DeTable::parse(text).map_err(|error| {
-        let span = error.span().unwrap_or(0..0);
-        Found::new(FileFault::Syntax, span, error.message().to_owned())
-    })?;
-    let root = Keys::new(root.get_ref(), root.span(), &["command"])?;
+    let root = Section::parse(text)?;
     let mut listed: Vec<Listed> = Vec::new();
-    for value in root.list("command")?.unwrap_or_default() {
-        let command = read_command(value, &listed)?;
+    for keys in root.only(&["command"])?.tables("command")? {
+        let command = read_command(keys, &listed)?;
         listed.push(command);
     }
     Ok(listed)
 }
 
-fn read_command(value: &Value<'_>, before: &[Listed]) -> Result<Listed, Found> {
-    let keys = Keys::of(value, &["code", "name", "parameters", "reply", "reply-only"])?;
-    let code = read_code(&keys, before)?;
-    let (name, span) = keys.word("name")?;
+fn read_command(keys: &Section, before: &[Listed]) -> Result<Listed, Found> {
+    keys.only(&["code", "name", "parameters", "reply", "reply-only"])?;
+    let code = read_code(keys.required("code")?, before)?;
+    let (name, span) = word(keys, "name")?;
     if PAPER.command(&name).is_some() {
         let text = format!("`{name}` is a command of the paper, which every table has");
         return Err(Found::new(FileFault::OfPaper, span, text));
@@ -211,10 +162,10 @@ fn read_command(value: &Value<'_>, before: &[Listed]) -> Result<Listed, Found> {
         let text = format!("two commands have the name `{name}`");
         return Err(Found::new(FileFault::NameTwice, span, text));
     }
-    let parameters = keys.parameters("parameters")?;
-    let reply = keys.parameters("reply")?;
-    let reply_only = keys.flag("reply-only")?;
-    let parameters = match (reply_only, parameters) {
+    let listed = parameters(keys, "parameters")?;
+    let reply = parameters(keys, "reply")?;
+    let reply_only = set(keys, "reply-only")?;
+    let parameters = match (reply_only, listed) {
         (Some(span), Some(_)) => {
             let text = format!("`{name}` cannot have parameters: base stations never say what is reply-only");
             return Err(Found::new(FileFault::ReplyOnly, span, text));
@@ -224,7 +175,7 @@ fn read_command(value: &Value<'_>, before: &[Listed]) -> Result<Listed, Found> {
             return Err(Found::new(FileFault::ReplyOnly, span, text));
         }
         (Some(_), None) => None,
-        (None, parameters) => Some(parameters.unwrap_or_default()),
+        (None, listed) => Some(listed.unwrap_or_default()),
     };
     Ok(Listed {
         code,
@@ -234,8 +185,8 @@ fn read_command(value: &Value<'_>, before: &[Listed]) -> Result<Listed, Found> {
     })
 }
 
-fn read_code(keys: &Keys<'_, '_>, before: &[Listed]) -> Result<Code, Found> {
-    let (number, span) = keys.integer("code")?;
+fn read_code(value: &At<Item>, before: &[Listed]) -> Result<Code, Found> {
+    let (number, span) = (value.integer()?, &value.span);
     let Some(code) = u8::try_from(number).ok().and_then(Code::new) else {
         let text = format!("{number} is no code: it has two digits, 0 to 99");
         return Err(Found::new(FileFault::Code, span, text));
@@ -251,15 +202,16 @@ fn read_code(keys: &Keys<'_, '_>, before: &[Listed]) -> Result<Code, Found> {
     Ok(code)
 }
 
-fn read_parameter(value: &Value<'_>, before: &[ListedParameter]) -> Result<ListedParameter, Found> {
-    let keys = Keys::of(value, &["name", "min", "max"])?;
-    let (name, span) = keys.word("name")?;
+fn read_parameter(keys: &Section, before: &[ListedParameter]) -> Result<ListedParameter, Found> {
+    keys.only(&["name", "min", "max"])?;
+    let (name, span) = word(keys, "name")?;
     if before.iter().any(|other| other.name == name) {
         let text = format!("two parameters have the name `{name}`");
         return Err(Found::new(FileFault::NameTwice, span, text));
     }
-    let (min, span) = keys.integer("min")?;
-    let (max, _) = keys.integer("max")?;
+    let least = keys.required("min")?;
+    let (min, span) = (least.integer()?, &least.span);
+    let max = keys.required("max")?.integer()?;
     match (i32::try_from(min), i32::try_from(max)) {
         (Ok(min), Ok(max)) if is_range(min, max) => Ok(ListedParameter { name, min, max }),
         _ if min > max => {
@@ -275,128 +227,37 @@ fn read_parameter(value: &Value<'_>, before: &[ListedParameter]) -> Result<Liste
     }
 }
 
-/// A table of the file whose keys are all known.
-struct Keys<'v, 'i> {
-    table: &'v DeTable<'i>,
-    span: Range<usize>,
+fn word<'k>(keys: &'k Section, key: &str) -> Result<(String, &'k Range<usize>), Found> {
+    let value = keys.required(key)?;
+    let word = value.text()?;
+    if !is_word(word) {
+        let text = format!("{word:?} is no word: lower-case letters, digits and `-`, a letter first");
+        return Err(Found::new(FileFault::Name, &value.span, text));
+    }
+    Ok((word.to_owned(), &value.span))
 }
 
-impl<'v, 'i> Keys<'v, 'i> {
-    fn of(value: &'v Value<'i>, known: &[&str]) -> Result<Keys<'v, 'i>, Found> {
-        let table = value.get_ref().as_table();
-        let table = table.ok_or_else(|| wrong_type(value, "a table"))?;
-        Keys::new(table, value.span(), known)
-    }
-
-    fn new(table: &'v DeTable<'i>, span: Range<usize>, known: &[&str]) -> Result<Keys<'v, 'i>, Found> {
-        for key in table.keys() {
-            let word = key.get_ref().as_ref();
-            if !known.contains(&word) {
-                let hint = match nearest(word, known) {
-                    Some(nearest) => format!("did you mean `{nearest}`?"),
-                    None => format!("the keys here are `{}`", known.join("`, `")),
-                };
-                let text = format!("there is no key `{word}`; {hint}");
-                return Err(Found::new(FileFault::UnknownKey, key.span(), text));
-            }
-        }
-        Ok(Keys { table, span })
-    }
-
-    fn required(&self, key: &str) -> Result<&'v Value<'i>, Found> {
-        let missing = || {
-            Found::new(
-                FileFault::MissingKey,
-                self.span.clone(),
-                format!("`{key}` is missing"),
-            )
-        };
-        self.table.get(key).ok_or_else(missing)
-    }
-
-    fn integer(&self, key: &str) -> Result<(i64, Range<usize>), Found> {
-        let value = self.required(key)?;
-        let number = value.get_ref().as_integer();
-        let number = number.ok_or_else(|| wrong_type(value, "an integer"))?;
-        // What an i64 cannot hold is out of every range; which side is all that matters.
-        let end = if number.as_str().starts_with('-') {
-            i64::MIN
-        } else {
-            i64::MAX
-        };
-        let number = i64::from_str_radix(number.as_str(), number.radix()).unwrap_or(end);
-        Ok((number, value.span()))
-    }
-
-    fn word(&self, key: &str) -> Result<(String, Range<usize>), Found> {
-        let value = self.required(key)?;
-        let word = value
-            .get_ref()
-            .as_str()
-            .ok_or_else(|| wrong_type(value, "a text"))?;
-        if !is_word(word) {
-            let text = format!("{word:?} is no word: lower-case letters, digits and `-`, a letter first");
-            return Err(Found::new(FileFault::Name, value.span(), text));
-        }
-        Ok((word.to_owned(), value.span()))
-    }
-
-    /// Where a key is set to true.
-    fn flag(&self, key: &str) -> Result<Option<Range<usize>>, Found> {
-        let Some(value) = self.table.get(key) else {
-            return Ok(None);
-        };
-        match value.get_ref().as_bool() {
-            Some(true) => Ok(Some(value.span())),
-            Some(false) => Ok(None),
-            None => Err(wrong_type(value, "true or false")),
-        }
-    }
-
-    fn list(&self, key: &str) -> Result<Option<&'v [Value<'i>]>, Found> {
-        let Some(value) = self.table.get(key) else {
-            return Ok(None);
-        };
-        let list = value.get_ref().as_array();
-        let list = list.ok_or_else(|| wrong_type(value, "a list of tables"))?;
-        Ok(Some(list))
-    }
-
-    fn parameters(&self, key: &str) -> Result<Option<Vec<ListedParameter>>, Found> {
-        let Some(list) = self.list(key)? else {
-            return Ok(None);
-        };
-        if let Some(ninth) = list.get(MOST) {
-            let text = format!("{} parameters are too many: there may be {MOST}", list.len());
-            return Err(Found::new(FileFault::TooMany, ninth.span(), text));
-        }
-        let mut parameters: Vec<ListedParameter> = Vec::new();
-        for value in list {
-            let parameter = read_parameter(value, &parameters)?;
-            parameters.push(parameter);
-        }
-        Ok(Some(parameters))
+/// Where a key is set to true.
+fn set<'k>(keys: &'k Section, key: &str) -> Result<Option<&'k Range<usize>>, Found> {
+    match keys.get(key) {
+        Some(value) => Ok(value.flag()?.then_some(&value.span)),
+        None => Ok(None),
     }
 }
 
-fn wrong_type(value: &Value<'_>, expected: &str) -> Found {
-    let given = value.get_ref().type_str();
-    let text = format!("{expected} is expected here, and this is of type {given}");
-    Found::new(FileFault::Type, value.span(), text)
-}
-
-/// The known key that is similar enough to be meant.
-fn nearest<'a>(word: &str, known: &[&'a str]) -> Option<&'a str> {
-    // The cost grows with the square of the length.
-    const LONGEST_WORD: usize = 64;
-    if word.len() > LONGEST_WORD {
-        return None;
+fn parameters(keys: &Section, key: &str) -> Result<Option<Vec<ListedParameter>>, Found> {
+    let Some(value) = keys.get(key) else {
+        return Ok(None);
+    };
+    let list = value.list("a list of tables")?;
+    if let Some(ninth) = list.get(MOST) {
+        let text = format!("{} parameters are too many: there may be {MOST}", list.len());
+        return Err(Found::new(FileFault::TooMany, &ninth.span, text));
     }
-    let allowed = (word.chars().count() / 3).max(1);
-    known
-        .iter()
-        .map(|known| (strsim::osa_distance(word, known), *known))
-        .filter(|(distance, _)| *distance <= allowed)
-        .min_by_key(|(distance, _)| *distance)
-        .map(|(_, known)| known)
+    let mut parameters: Vec<ListedParameter> = Vec::new();
+    for value in list {
+        let parameter = read_parameter(value.table()?, &parameters)?;
+        parameters.push(parameter);
+    }
+    Ok(Some(parameters))
 }

@@ -3,15 +3,16 @@
 use std::ops::Range;
 
 use mom_rsp::{AudioCodec, Kind, Motion, Number, Payload, Sound};
+use mom_toml_faults::{At, Section, quoted, unknown};
 
 use crate::canonical;
 use crate::fault::{Fault, Found};
-use crate::keys::{self, Keys, choice, list, number, shown, string, unknown, wrong_type};
+use crate::keys::{choice, integer, list, number, word};
 use crate::model::{
     Direction, HEADER, HIGHEST_PACKET, KINDS, MOST_ELEMENTS, Model, ModelElement, NUMBERS, TAG, kind_word,
 };
 use crate::quantities::{self, in_code};
-use crate::text::{At, Section, Source};
+use crate::text::Source;
 
 /// The keys of the file itself.
 const ROOT_KEYS: &[&str] = &[
@@ -64,17 +65,18 @@ struct Draft {
 }
 
 pub(crate) fn model(source: &Source) -> Result<Model, Found> {
-    let root = Keys::new(&source.root, ROOT_KEYS)?;
-    let name = root.word("name")?;
-    let id = root.integer("id", 0..=u16::MAX, None)?;
-    let period = root.integer("period", 1..=200, Some(DEFAULT_PERIOD))?;
-    let largest_packet = root.integer(
+    let root = source.root.only(ROOT_KEYS)?;
+    let name = word(root.required("name")?)?;
+    let id = integer(root, "id", 0..=u16::MAX, None)?;
+    let period = integer(root, "period", 1..=200, Some(DEFAULT_PERIOD))?;
+    let largest_packet = integer(
+        root,
         "largest-packet",
         LEAST_LARGEST..=HIGHEST_PACKET,
         Some(DEFAULT_LARGEST),
     )?;
-    let watchdog = watchdog(&root, period)?;
-    let doc = doc(&root)?;
+    let watchdog = watchdog(root, period)?;
+    let doc = doc(root)?;
     if let Some(section) = source.elements.get(MOST_ELEMENTS) {
         let words = format!(
             "{} elements are too many: a model has at most {MOST_ELEMENTS}",
@@ -84,7 +86,7 @@ pub(crate) fn model(source: &Source) -> Result<Model, Found> {
     }
     if source.elements.is_empty() {
         let words = "the model has no element: write `[[element]]` for each";
-        return Err(Found::new(Fault::Elements, root.span(), words));
+        return Err(Found::new(Fault::Elements, &root.span, words));
     }
     let mut drafts: Vec<Draft> = Vec::new();
     for section in &source.elements {
@@ -125,8 +127,9 @@ pub(crate) fn model(source: &Source) -> Result<Model, Found> {
     Ok(model)
 }
 
-fn watchdog(root: &Keys<'_>, period: u16) -> Result<u16, Found> {
-    let watchdog = root.integer(
+fn watchdog(root: &Section, period: u16) -> Result<u16, Found> {
+    let watchdog = integer(
+        root,
         "watchdog",
         0..=u16::MAX,
         Some(DEFAULT_WATCHDOG.max(period.saturating_mul(2))),
@@ -143,11 +146,11 @@ fn watchdog(root: &Keys<'_>, period: u16) -> Result<u16, Found> {
     }
 }
 
-fn doc(keys: &Keys<'_>) -> Result<String, Found> {
+fn doc(keys: &Section) -> Result<String, Found> {
     let Some(item) = keys.get("doc") else {
         return Ok(String::new());
     };
-    let doc = string(item)?;
+    let doc = item.text()?;
     if doc.chars().nth(LONGEST_DOC).is_some() {
         let words = format!("a doc text has at most {LONGEST_DOC} characters");
         return Err(Found::new(Fault::TooLong, &item.span, words));
@@ -170,8 +173,8 @@ fn has_key(kind: Kind, key: &str) -> bool {
 }
 
 fn element(section: &Section, before: &[Draft]) -> Result<Draft, Found> {
-    let keys = Keys::new(section, ELEMENT_KEYS)?;
-    let name = keys.word("name")?;
+    let keys = section.only(ELEMENT_KEYS)?;
+    let name = word(keys.required("name")?)?;
     if let Some(other) = before
         .iter()
         .find(|other| in_code(&other.name.value) == in_code(&name.value))
@@ -183,13 +186,13 @@ fn element(section: &Section, before: &[Draft]) -> Result<Draft, Found> {
         return Err(Found::new(Fault::NameTwice, &name.span, words));
     }
     let kind = choice(keys.required("kind")?, "kind of element", &KINDS)?;
-    only_keys_of(kind, &keys)?;
+    only_keys_of(kind, keys)?;
     let of = match kind {
-        Kind::Monitor => Some(keys.word("of")?),
+        Kind::Monitor => Some(word(keys.required("of")?)?),
         _ => None,
     };
     let members = match kind {
-        Kind::Module => members(&keys)?,
+        Kind::Module => members(keys)?,
         _ => Vec::new(),
     };
     let mut element = ModelElement {
@@ -205,19 +208,19 @@ fn element(section: &Section, before: &[Draft]) -> Result<Draft, Found> {
         },
         rate: None,
         safe: Vec::new(),
-        period: keys.integer("period", 0..=60_000, Some(0))?,
-        lasts: keys.integer("lasts", 0..=60_000, Some(0))?,
+        period: integer(keys, "period", 0..=60_000, Some(0))?,
+        lasts: integer(keys, "lasts", 0..=60_000, Some(0))?,
         of: None,
         module: None,
-        doc: doc(&keys)?,
+        doc: doc(keys)?,
         digest: 0,
     };
-    match payload(&keys, kind)? {
-        Payload::Numbers(of, count) => numbers(&keys, &mut element, of, count)?,
+    match payload(keys, kind)? {
+        Payload::Numbers(of, count) => numbers(keys, &mut element, of, count)?,
         other => {
-            no_keys_of_numbers(&keys, other)?;
+            no_keys_of_numbers(keys, other)?;
             element.payload = other;
-            element.sound = sound(&keys, other)?;
+            element.sound = sound(keys, other)?;
             if let (Kind::Effector, Payload::Bytes(_)) = (kind, other) {
                 // No bytes: their number alone.
                 element.safe = vec![0, 0];
@@ -232,7 +235,7 @@ fn element(section: &Section, before: &[Draft]) -> Result<Draft, Found> {
     })
 }
 
-fn only_keys_of(kind: Kind, keys: &Keys<'_>) -> Result<(), Found> {
+fn only_keys_of(kind: Kind, keys: &Section) -> Result<(), Found> {
     for key in ELEMENT_KEYS.iter().filter(|key| !has_key(kind, key)) {
         if let Some(span) = keys.key_span(key) {
             let word = kind_word(kind).replace('-', " ");
@@ -244,7 +247,7 @@ fn only_keys_of(kind: Kind, keys: &Keys<'_>) -> Result<(), Found> {
     Ok(())
 }
 
-fn no_keys_of_numbers(keys: &Keys<'_>, payload: Payload) -> Result<(), Found> {
+fn no_keys_of_numbers(keys: &Section, payload: Payload) -> Result<(), Found> {
     const OF_NUMBERS: [&str; 9] = [
         "count",
         "parts",
@@ -266,14 +269,14 @@ fn no_keys_of_numbers(keys: &Keys<'_>, payload: Payload) -> Result<(), Found> {
     Err(Found::new(Fault::NotOfKind, span, words))
 }
 
-fn members(keys: &Keys<'_>) -> Result<Vec<At<String>>, Found> {
+fn members(keys: &Section) -> Result<Vec<At<String>>, Found> {
     let item = keys.required("members")?;
-    let values = list(item).ok_or_else(|| wrong_type(item, "a list of names"))?;
-    values.iter().map(keys::word).collect()
+    let values = list(item).ok_or_else(|| item.wrong_type("a list of names"))?;
+    values.iter().map(word).collect()
 }
 
 /// The type of an element's data. Commands and events may have none.
-fn payload(keys: &Keys<'_>, kind: Kind) -> Result<Payload, Found> {
+fn payload(keys: &Section, kind: Kind) -> Result<Payload, Found> {
     let bytes = [("bytes", None)];
     let types = NUMBERS.map(|(word, number)| (word, Some(number)));
     let types: Vec<(&str, Option<Number>)> = types.into_iter().chain(bytes).collect();
@@ -291,7 +294,7 @@ fn payload(keys: &Keys<'_>, kind: Kind) -> Result<Payload, Found> {
         }
     };
     match choice(item, "type", &types)? {
-        None => Ok(Payload::Bytes(keys.integer("max", 1..=u16::MAX, None)?)),
+        None => Ok(Payload::Bytes(integer(keys, "max", 1..=u16::MAX, None)?)),
         Some(number) => match of_bytes(keys) {
             Some((key, span)) => {
                 let words = format!("`{key}` is of bytes; how many numbers there are is `count`");
@@ -303,23 +306,23 @@ fn payload(keys: &Keys<'_>, kind: Kind) -> Result<Payload, Found> {
 }
 
 /// A key that is of bytes alone.
-fn of_bytes<'k>(keys: &'k Keys<'_>) -> Option<(&'static str, &'k Range<usize>)> {
+fn of_bytes(keys: &Section) -> Option<(&'static str, &Range<usize>)> {
     ["max", "sound"]
         .into_iter()
         .find_map(|key| Some((key, keys.key_span(key)?)))
 }
 
 /// What kind of sound the bytes are, if they are some.
-fn sound(keys: &Keys<'_>, payload: Payload) -> Result<Option<Sound>, Found> {
+fn sound(keys: &Section, payload: Payload) -> Result<Option<Sound>, Found> {
     let (Some(item), Payload::Bytes(most)) = (keys.get("sound"), payload) else {
         return Ok(None);
     };
-    let text = string(item)?;
+    let text = item.text()?;
     let found = |fault: Fault, words: String| Err(Found::new(fault, &item.span, words));
     let Some((word, rate)) = text.split_once(' ') else {
         let words = format!(
-            "a sound is a codec and its samples a second, such as `pcm 16000`, and not {}",
-            shown(text)
+            "a sound is a codec and its samples a second, such as `pcm 16000`, and not `{}`",
+            quoted(text)
         );
         return found(Fault::UnknownWord, words);
     };
@@ -337,7 +340,7 @@ fn sound(keys: &Keys<'_>, payload: Payload) -> Result<Option<Sound>, Found> {
         };
         return found(
             Fault::Number,
-            format!("{word} has {rates}, and not {}", shown(rate)),
+            format!("{word} has {rates}, and not `{}`", quoted(rate)),
         );
     };
     let sound = Sound { codec, rate };
@@ -351,7 +354,7 @@ fn sound(keys: &Keys<'_>, payload: Payload) -> Result<Option<Sound>, Found> {
     Ok(Some(sound))
 }
 
-fn numbers(keys: &Keys<'_>, element: &mut ModelElement, of: Number, count: u16) -> Result<(), Found> {
+fn numbers(keys: &Section, element: &mut ModelElement, of: Number, count: u16) -> Result<(), Found> {
     let motions = [("absolute", false), ("incremental", true)];
     let incremental = match keys.get("motion") {
         Some(item) => choice(item, "way of motion", &motions)?,
@@ -363,12 +366,12 @@ fn numbers(keys: &Keys<'_>, element: &mut ModelElement, of: Number, count: u16) 
         return Ok(());
     }
     element.safe = quantities::safe_bytes(&element.quantities, of, count);
-    let interpolate = keys.flag("interpolate")?;
+    let interpolate = keys.get("interpolate").map_or(Ok(false), At::flag)?;
     element.rate = rate(keys)?;
     let rate = wire_rate(keys, element)?;
     element.motion = match incremental {
         true if interpolate => {
-            let span = keys.key_span("interpolate").unwrap_or(keys.span());
+            let span = keys.key_span("interpolate").unwrap_or(&keys.span);
             let words = "steps that add up are not interpolated: leave `interpolate` out, or `motion`";
             return Err(Found::new(Fault::NotOfKind, span, words));
         }
@@ -379,16 +382,16 @@ fn numbers(keys: &Keys<'_>, element: &mut ModelElement, of: Number, count: u16) 
 }
 
 /// The limit of change, in the element's unit a second.
-fn rate(keys: &Keys<'_>) -> Result<Option<f64>, Found> {
+fn rate(keys: &Section) -> Result<Option<f64>, Found> {
     keys.get("rate").map(number).transpose()
 }
 
 /// The same in units of the wire.
-fn wire_rate(keys: &Keys<'_>, element: &ModelElement) -> Result<Option<f32>, Found> {
+fn wire_rate(keys: &Section, element: &ModelElement) -> Result<Option<f32>, Found> {
     let Some(rate) = element.rate else {
         return Ok(None);
     };
-    let span = keys.get("rate").map_or(keys.span(), |item| &item.span);
+    let span = keys.get("rate").map_or(&keys.span, |item| &item.span);
     let scale = element.quantities.first().map_or(1.0, |first| first.scale);
     if element.quantities.iter().any(|other| other.scale != scale) {
         let words = "one rate cannot limit numbers of several scales: make them elements of their own";
@@ -485,8 +488,8 @@ fn lookup<'d>(
         let words = match unknown(what, &name.value, candidates) {
             // So many names help nobody.
             long if long.len() > 400 => format!(
-                "there is no {what} {}; there are `{}` and others",
-                shown(&name.value),
+                "there is no {what} `{}`; there are `{}` and others",
+                quoted(&name.value),
                 few.join("`, `")
             ),
             words => words,

@@ -1,7 +1,6 @@
 //! What is wrong in a model's file, and where.
 
-use std::fmt;
-use std::ops::Range;
+use mom_toml_faults::Shape;
 
 /// What kind of fault it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,63 +43,18 @@ pub enum Fault {
 }
 
 /// What is wrong in a file, and where.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ModelError {
-    fault: Fault,
-    line: usize,
-    column: usize,
-    text: String,
-}
-
-impl ModelError {
-    /// What kind of fault it is.
-    #[must_use]
-    pub const fn fault(&self) -> Fault {
-        self.fault
-    }
-
-    /// The line and the column, in characters, at which it is; 1 for the first.
-    #[must_use]
-    pub const fn place(&self) -> (usize, usize) {
-        (self.line, self.column)
-    }
-}
-
-impl fmt::Display for ModelError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "line {}, column {}: {}", self.line, self.column, self.text)
-    }
-}
-
-impl std::error::Error for ModelError {}
+pub type ModelError = mom_toml_faults::FileError<Fault>;
 
 /// A fault at bytes of the text.
-#[derive(Debug)]
-pub(crate) struct Found {
-    pub(crate) fault: Fault,
-    pub(crate) start: usize,
-    text: String,
-}
+pub(crate) type Found = mom_toml_faults::Found<Fault>;
 
-impl Found {
-    pub(crate) fn new(fault: Fault, span: &Range<usize>, text: impl Into<String>) -> Found {
-        Found {
-            fault,
-            start: span.start,
-            text: text.into(),
-        }
-    }
-
-    pub(crate) fn at(self, text: &str) -> ModelError {
-        let before = text.get(..self.start).unwrap_or(text);
-        let line_start = before.rfind('\n').map_or(0, |end| end + 1);
-        ModelError {
-            fault: self.fault,
-            line: before.matches('\n').count() + 1,
-            column: before
-                .get(line_start..)
-                .map_or(1, |start| start.chars().count() + 1),
-            text: self.text,
+impl From<Shape> for Fault {
+    fn from(shape: Shape) -> Fault {
+        match shape {
+            Shape::Syntax => Fault::Syntax,
+            Shape::UnknownKey => Fault::UnknownKey,
+            Shape::MissingKey => Fault::MissingKey,
+            Shape::Type => Fault::Type,
         }
     }
 }

@@ -3,10 +3,12 @@
 use std::collections::BTreeSet;
 use std::ops::Range;
 
+use mom_toml_faults::{At, Item, Section};
+
 use crate::check;
 use crate::fault::{Fault, Found};
 use crate::model::HIGHEST_PACKET;
-use crate::text::{At, Item, Section, Source};
+use crate::text::Source;
 
 /// The most faults that are told: who has so many looks at the first ones.
 const MOST: usize = 50;

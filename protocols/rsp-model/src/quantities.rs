@@ -3,11 +3,11 @@
 use std::collections::HashSet;
 
 use mom_rsp::{Kind, Number};
+use mom_toml_faults::{At, Item, Section, quoted};
 
 use crate::fault::{Fault, Found};
-use crate::keys::{Keys, list, number, shown, string, word, wrong_type};
+use crate::keys::{integer, list, number, word};
 use crate::model::{Quantity, bounds, number_word, write_number};
-use crate::text::{At, Item};
 
 /// The most characters of a unit.
 const LONGEST_UNIT: usize = 16;
@@ -32,15 +32,15 @@ impl<T: Clone> Said<T> {
 }
 
 /// How many numbers an element has: as `count` says, or as many as it names parts; 1 otherwise.
-pub(crate) fn count(keys: &Keys<'_>) -> Result<u16, Found> {
+pub(crate) fn count(keys: &Section) -> Result<u16, Found> {
     let parts = keys.get("parts").and_then(list).map_or(1, |parts| parts.len());
     let default = u16::try_from(parts).unwrap_or(u16::MAX).max(1);
-    keys.integer("count", 1..=u16::MAX, Some(default))
+    integer(keys, "count", 1..=u16::MAX, Some(default))
 }
 
 /// The quantities of an element with so many numbers: one for all, or one for each.
 pub(crate) fn read(
-    keys: &Keys<'_>,
+    keys: &Section,
     kind: Kind,
     of: Number,
     count: u16,
@@ -99,7 +99,7 @@ pub(crate) fn safe_bytes(quantities: &[Quantity], of: Number, count: u16) -> Vec
 }
 
 fn said<T>(
-    keys: &Keys<'_>,
+    keys: &Section,
     key: &str,
     count: u16,
     read: impl Fn(&At<Item>) -> Result<T, Found>,
@@ -135,14 +135,14 @@ fn as_many<T>(values: &[T], key: &str, count: u16, item: &At<Item>) -> Result<()
 }
 
 fn unit(item: &At<Item>) -> Result<String, Found> {
-    let unit = string(item)?;
+    let unit = item.text()?;
     let known = |c: char| c.is_ascii_alphanumeric() || "/*^%".contains(c);
     let first = |c: char| c.is_ascii_alphabetic() || c == '%' || c == '1';
     let is_unit = unit.len() <= LONGEST_UNIT && unit.starts_with(first) && unit.chars().all(known);
     if !is_unit && !unit.is_empty() {
         let words = format!(
-            "{} is no unit: at most {LONGEST_UNIT} letters, digits, `/`, `*`, `^` and `%`, as in `mm/s` or `m/s^2`",
-            shown(unit)
+            "`{}` is no unit: at most {LONGEST_UNIT} letters, digits, `/`, `*`, `^` and `%`, as in `mm/s` or `m/s^2`",
+            quoted(unit)
         );
         return Err(Found::new(Fault::Name, &item.span, words));
     }
@@ -164,11 +164,11 @@ fn scale(item: &At<Item>) -> Result<f64, Found> {
 type Range = (At<Item>, f64, f64);
 
 /// One range for all numbers, or a list of ranges.
-fn ranges(keys: &Keys<'_>, count: u16) -> Result<Option<Said<Range>>, Found> {
+fn ranges(keys: &Section, count: u16) -> Result<Option<Said<Range>>, Found> {
     let Some(item) = keys.get("range") else {
         return Ok(None);
     };
-    let values = list(item).ok_or_else(|| wrong_type(item, "a list of two numbers"))?;
+    let values = list(item).ok_or_else(|| item.wrong_type("a list of two numbers"))?;
     let pair = |item: &At<Item>, values: &[At<Item>]| match values {
         [min, max] => Ok((item.clone(), number(min)?, number(max)?)),
         _ => {
@@ -191,7 +191,7 @@ fn ranges(keys: &Keys<'_>, count: u16) -> Result<Option<Said<Range>>, Found> {
     }
     as_many(&values, "range", count, item)?;
     let each = values.iter().map(|value| {
-        let values = list(value).ok_or_else(|| wrong_type(value, "a list of two numbers"))?;
+        let values = list(value).ok_or_else(|| value.wrong_type("a list of two numbers"))?;
         pair(value, &values)
     });
     Ok(Some(Said::Each(each.collect::<Result<_, _>>()?)))
@@ -220,14 +220,14 @@ fn within((item, min, max): &Range, of: Number, scale: f64) -> Result<(f64, f64)
 }
 
 fn safe_value(
-    keys: &Keys<'_>,
+    keys: &Section,
     quantity: &Quantity,
     safe: Option<&(f64, std::ops::Range<usize>)>,
     incremental: bool,
 ) -> Result<f64, Found> {
     let (value, span) = match safe {
         Some((value, span)) => (*value, span),
-        None => (0.0, keys.span()),
+        None => (0.0, &keys.span),
     };
     if incremental && value != 0.0 {
         let words = format!("the safe step of an incremental effector is 0, where it stays, and not {value}");
@@ -250,11 +250,11 @@ fn safe_value(
 }
 
 /// The names of the numbers.
-fn parts(keys: &Keys<'_>, count: u16) -> Result<Option<Vec<String>>, Found> {
+fn parts(keys: &Section, count: u16) -> Result<Option<Vec<String>>, Found> {
     let Some(item) = keys.get("parts") else {
         return Ok(None);
     };
-    let values = list(item).ok_or_else(|| wrong_type(item, "a list of names"))?;
+    let values = list(item).ok_or_else(|| item.wrong_type("a list of names"))?;
     as_many(&values, "parts", count, item)?;
     let mut known = HashSet::new();
     let mut parts: Vec<String> = Vec::new();

@@ -4,12 +4,12 @@
 use std::collections::HashMap;
 use std::ops::Range;
 
+use mom_toml_faults::{At, Item, Section, quoted, unknown};
 use roxmltree::{Attribute, Document, Node, ParsingOptions};
 
 use crate::fault::{Fault, Found};
-use crate::keys::{shown, unknown};
 use crate::model::{KINDS, MOST_ELEMENTS};
-use crate::text::{At, Item, Section, Source, check_length};
+use crate::text::{Source, check_length};
 
 /// The stereotype of the class.
 const ROBOT: &str = "robot";
@@ -109,8 +109,8 @@ impl<'a, 'i> File<'a, 'i> {
         }
         if root.tag_name().name() != "XMI" {
             let words = format!(
-                "this is no XMI: `xmi:XMI` or `uml:Model` is expected, and there is {}",
-                shown(root.tag_name().name())
+                "this is no XMI: `xmi:XMI` or `uml:Model` is expected, and there is `{}`",
+                quoted(root.tag_name().name())
             );
             return Err(beyond(&begin(root), words));
         }
@@ -173,8 +173,8 @@ impl<'a, 'i> File<'a, 'i> {
         });
         if let Some(child) = foreign {
             let words = format!(
-                "{} is outside the part of XMI that is read: the robot's class has attributes and comments alone",
-                shown(child.tag_name().name())
+                "`{}` is outside the part of XMI that is read: the robot's class has attributes and comments alone",
+                quoted(child.tag_name().name())
             );
             return Err(beyond(&begin(child), words));
         }
@@ -224,8 +224,8 @@ impl<'a, 'i> File<'a, 'i> {
         if !section.entries.iter().any(|(key, _)| key.value == "kind") {
             let name = plain(attribute, "name").map_or("", |name| name.value());
             let words = format!(
-                "{} has no kind: give it a stereotype such as `Effector`, or a tag `kind`",
-                shown(name)
+                "`{}` has no kind: give it a stereotype such as `Effector`, or a tag `kind`",
+                quoted(name)
             );
             return Err(beyond(&begin(attribute), words));
         }
@@ -322,7 +322,7 @@ fn add(
     span: Range<usize>,
 ) -> Result<(), Found> {
     if to.entries.iter().any(|(known, _)| known.value == key) {
-        return Err(beyond(&key_span, format!("{} is said twice", shown(key))));
+        return Err(beyond(&key_span, format!("`{}` is said twice", quoted(key))));
     }
     if to.entries.len() == MOST_KEYS {
         return Err(beyond(&key_span, "there is no element with so many tags"));

@@ -15,7 +15,7 @@ const FAULTS: [(&str, &str); 8] = [
     ),
     (
         "conections = 50",
-        "conections: there is no key \"conections\" here; did you mean connections?",
+        "conections: there is no key `conections`; did you mean `connections`?",
     ),
     ("users = \"nobody.toml\"", "users: "),
     (
@@ -24,7 +24,7 @@ const FAULTS: [(&str, &str); 8] = [
     ),
     (
         "allow = [\"jion\"]",
-        "managers.lab.rules[0].allow[0]: \"jion\" is not known here; did you mean join?",
+        "managers.lab.rules[0].allow[0]: \"jion\" is not known here; did you mean `join`?",
     ),
     (
         "safe = { channel = \"/arm\", name = \"stop\" }",

@@ -43,6 +43,7 @@ const ARROWS: &[(&str, May)] = &[
             "mom-login",
             "mom-store",
             "mom-journal",
+            "mom-toml-faults",
         ]),
     ),
     (
@@ -66,7 +67,10 @@ const ARROWS: &[(&str, May)] = &[
         "mom-arm",
         May::Use(&["mom-client", "mom-device", "mom-program", "mom-trace"]),
     ),
-    ("mom-base-station", May::Use(&["mom-brs", "mom-pages"])),
+    (
+        "mom-base-station",
+        May::Use(&["mom-brs", "mom-pages", "mom-toml-faults"]),
+    ),
     (
         "mom-camera",
         May::Use(&["mom-client", "mom-device", "mom-program", "mom-trace"]),
@@ -101,7 +105,7 @@ const ARROWS: &[(&str, May)] = &[
     ),
     (
         "mom-wheeled",
-        May::Use(&["mom-client", "mom-device", "mom-wheels"]),
+        May::Use(&["mom-client", "mom-device", "mom-toml-faults", "mom-wheels"]),
     ),
     (
         "mom-rover",
@@ -159,9 +163,9 @@ const ARROWS: &[(&str, May)] = &[
             "mom-pages",
         ]),
     ),
-    ("mom-brs", May::Use(&[])),
+    ("mom-brs", May::Use(&["mom-toml-faults"])),
     ("mom-rsp", May::Use(&[])),
-    ("mom-rsp-model", May::Use(&["mom-rsp"])),
+    ("mom-rsp-model", May::Use(&["mom-rsp", "mom-toml-faults"])),
     (
         "mom-gateway",
         May::Use(&[
@@ -177,6 +181,7 @@ const ARROWS: &[(&str, May)] = &[
     ),
     ("mom-plots", May::Use(&[])),
     ("mom-pages", May::Use(&[])),
+    ("mom-toml-faults", May::Use(&[])),
     ("mom-program", May::Use(&["mom-client", "mom-pages"])),
     ("mom-tests", May::UseAll),
     ("mom-cases", May::Use(&[])),

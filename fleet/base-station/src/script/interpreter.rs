@@ -3,10 +3,10 @@
 use std::collections::HashMap;
 
 use mom_brs::{Code, Frame};
+use mom_toml_faults::Spot;
 
 use super::{REPLY_WITHIN, Script, Step};
 use crate::fleet::Unit;
-use crate::words::Spot;
 
 /// A wait counts from the moment at which the one before it should have ended, so that repetitions keep their rate; unless
 /// that is longer ago than this, in µs.

@@ -30,9 +30,9 @@ mod tests;
 use std::sync::Arc;
 
 use mom_brs::{Code, Frame, Table};
+use mom_toml_faults::Spot;
 
 use crate::fleet::Unit;
-use crate::words::Spot;
 
 pub use interpreter::{Action, Interpreter, NoReply};
 
@@ -106,27 +106,7 @@ pub enum ScriptFault {
 }
 
 /// What is wrong in a script, and where.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{spot}: {text}")]
-pub struct ScriptError {
-    fault: ScriptFault,
-    spot: Spot,
-    text: String,
-}
-
-impl ScriptError {
-    /// What kind of fault it is.
-    #[must_use]
-    pub const fn fault(&self) -> ScriptFault {
-        self.fault
-    }
-
-    /// Where it is.
-    #[must_use]
-    pub const fn spot(&self) -> Spot {
-        self.spot
-    }
-}
+pub type ScriptError = mom_toml_faults::FileError<ScriptFault>;
 
 impl Script {
     /// Reads a script for the units of a fleet and the commands of a table.
@@ -156,11 +136,7 @@ impl Script {
     ///
     /// The first fault, and its place.
     pub fn parse(text: &str, units: &[Unit], table: &'static Table) -> Result<Script, ScriptError> {
-        let steps = parse::steps(text, units, table).map_err(|found| ScriptError {
-            fault: found.fault,
-            spot: Spot::of(text, found.at),
-            text: found.text,
-        })?;
+        let steps = parse::steps(text, units, table).map_err(|found| found.at(text))?;
         Ok(Script { steps: steps.into() })
     }
 

@@ -4,26 +4,20 @@ use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 
 use mom_brs::{Code, Command, Frame, Parameter, Table};
+use mom_toml_faults::{Spot, quoted, unknown};
 
 use super::{DEEPEST, LONGEST, MOST_BYTES, MOST_STEPS, REPLY_WITHIN, ScriptFault, Step};
 use crate::fleet::Unit;
-use crate::words::{Spot, hint, quoted};
 
 const KEYWORDS: [&str; 5] = ["all", "wait", "repeat", "end", "on"];
 
 /// The longest wait of one statement, in ms.
 const LONGEST_WAIT: u64 = 3_600_000;
 
-/// A fault at a byte of the text.
-pub(super) struct Found {
-    pub(super) fault: ScriptFault,
-    pub(super) at: usize,
-    pub(super) text: String,
-}
+type Found = mom_toml_faults::Found<ScriptFault>;
 
 fn found<T>(fault: ScriptFault, at: usize, text: impl Into<String>) -> Result<T, Found> {
-    let text = text.into();
-    Err(Found { fault, at, text })
+    Err(Found::new(fault, &(at..at), text))
 }
 
 /// A word and the byte at which it begins.
@@ -276,12 +270,8 @@ impl<'a> Reader<'a> {
             Some(command) => Ok(command),
             None => {
                 let names: Vec<&str> = self.names.iter().copied().chain(["to"]).collect();
-                let (word, hint, at) = (quoted(word.text), hint(word.text, &names), word.at);
-                found(
-                    ScriptFault::UnknownWord,
-                    at,
-                    format!("there is no command `{word}`; {hint}"),
-                )
+                let text = unknown("command", word.text, &names);
+                found(ScriptFault::UnknownWord, word.at, text)
             }
         }
     }
@@ -318,7 +308,7 @@ impl<'a> Reader<'a> {
             let shown = quoted(word.text);
             let text = match self.table.command(word.text) {
                 Some(_) => format!("the unit is missing before `{shown}`, as in `1 {shown}`"),
-                None => format!("there is no statement `{shown}`; {}", hint(word.text, &KEYWORDS)),
+                None => unknown("statement", word.text, &KEYWORDS),
             };
             return found(ScriptFault::UnknownWord, word.at, text);
         }

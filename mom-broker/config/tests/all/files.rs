@@ -110,13 +110,13 @@ pub(crate) fn check(marked: &str, key: &str, words: &str) {
 
 #[test]
 fn wrong_keys_and_types() {
-    check("log = \"info\"\n¦listne = []\n", "listne", "did you mean listen?");
+    check("log = \"info\"\n¦listne = []\n", "listne", "did you mean `listen`?");
     check(
         "[limits]\n¦parcels = 1\n",
         "limits.parcels",
-        "did you mean parcel?",
+        "did you mean `parcel`?",
     );
-    check("[login]\n¦hashes = 1\n", "login.hashes", "did you mean hashers?");
+    check("[login]\n¦hashes = 1\n", "login.hashes", "did you mean `hashers`?");
     check("¦listen = 7666\n", "listen", "a list in brackets, not 7666");
     check(
         "¦connections = \"many\"\n",
@@ -139,7 +139,7 @@ fn wrong_keys_and_types() {
     check(
         "[[contexts]]\npath = \"/a\"\nkind = \"channel\"\n¦color = 1\n",
         "contexts[0].color",
-        "there is no key \"color\" here; known are path",
+        "there is no key `color`; there are `path`",
     );
     check("[limits]\nparcel = 1\n¦parcel = 2\n", "parcel", "duplicate");
     check("log = \"a\"\n¦log \"b\"\n", "log \"b\"", "");
@@ -176,7 +176,7 @@ fn the_store_is_a_directory() {
         "store.path",
         "a text in quotes, not a number without them",
     );
-    check("[store]\n¦paht = \"state\"\n", "store.paht", "did you mean path?");
+    check("[store]\n¦paht = \"state\"\n", "store.paht", "did you mean `path`?");
 }
 
 #[test]
@@ -276,19 +276,19 @@ fn listeners_that_contradict_themselves() {
             "takes",
             "a listener that takes nothing is of no use; name some of xml, binary",
         ),
-        ("takes = [\"xlm\"]", "takes[0]", "did you mean xml?"),
+        ("takes = [\"xlm\"]", "takes[0]", "did you mean `xml`?"),
         ("takes = \"xml\"", "takes", "a list in brackets"),
         ("tls = \"required\"", "tls", "there is no certificate"),
         ("tls = true", "tls", "\"allowed\", \"required\", \"refused\""),
-        ("proxies = []", "proxies", "known are address, takes, tls, proxy"),
+        ("proxies = []", "proxies", "there are `address`, `takes`, `tls`, `proxy`"),
         ("proxy = [\"10.0.0.0/33\"]", "proxy", "no address or network"),
         (
             "proxy = [\"::1\", \"localhost\"]",
             "proxy",
             "no address or network",
         ),
-        ("proxy = [\"10.0.0.1/8\"]", "proxy", "did you mean 10.0.0.0/8?"),
-        ("proxy = [\"fd00::1/8\"]", "proxy", "did you mean fd00::/8?"),
+        ("proxy = [\"10.0.0.1/8\"]", "proxy", "did you mean `10.0.0.0/8`?"),
+        ("proxy = [\"fd00::1/8\"]", "proxy", "did you mean `fd00::/8`?"),
         ("proxy = [\"0.0.0.0/0\"]", "proxy", "every address"),
         ("proxy = [\"::ffff:10.0.0.1\"]", "proxy", "write it as 10.0.0.1"),
     ] {
@@ -441,7 +441,7 @@ fn a_secret_is_not_shown() {
 
 #[test]
 fn wrong_managers() {
-    check("¦root = \"opne\"\n", "root", "did you mean open");
+    check("¦root = \"opne\"\n", "root", "did you mean `open`?");
     let lab = "[managers.lab]\nkind = \"roles\"\nrules = []\n";
     check(
         &format!("{lab}[[contexts]]\npath = \"/a\"\nkind = \"channel\"\n¦manager = \"lba\"\n"),
@@ -451,7 +451,7 @@ fn wrong_managers() {
     check(
         "[managers.a]\n¦kind = \"role\"\nrules = []\n",
         "managers.a.kind",
-        "did you mean roles?",
+        "did you mean `roles`?",
     );
     check("¦[managers.a]\nrules = []\n", "managers.a.kind", "kind");
     check(
@@ -467,7 +467,7 @@ fn wrong_managers() {
     check(
         "[managers.a]\nkind = \"roles\"\n[[managers.a.rules]]\nname = \"x\"\n¦allow = [\"jion\"]\n",
         "managers.a.rules[0].allow[0]",
-        "did you mean join?",
+        "did you mean `join`?",
     );
     check(
         "[managers.a]\nkind = \"chain\"\n¦of = [\"a\"]\n",

@@ -1,0 +1,81 @@
+//! Which known word was probably meant, and how an error quotes a word.
+
+/// The known word that is similar enough to be meant; none for one of more than 64 bytes.
+///
+/// ```
+/// use mom_toml_faults::nearest;
+/// assert_eq!(nearest("moter", &["leds", "motor"]), Some("motor"));
+/// assert_eq!(nearest("sing", &["leds", "motor"]), None);
+/// ```
+#[must_use]
+pub fn nearest<'a>(word: &str, known: &[&'a str]) -> Option<&'a str> {
+    // The cost grows with the square of the length.
+    const LONGEST_WORD: usize = 64;
+    if word.len() > LONGEST_WORD {
+        return None;
+    }
+    let allowed = (word.chars().count() / 3).max(1);
+    known
+        .iter()
+        .map(|known| (strsim::osa_distance(word, known), *known))
+        .filter(|(distance, _)| *distance <= allowed)
+        .min_by_key(|(distance, _)| *distance)
+        .map(|(_, known)| known)
+}
+
+/// What helps whoever wrote an unknown word: the nearest known one, or all that there are.
+#[must_use]
+pub fn hint(word: &str, known: &[&str]) -> String {
+    match nearest(word, known) {
+        Some(nearest) => format!("did you mean `{nearest}`?"),
+        None if known.is_empty() => "there is none here".to_owned(),
+        None => format!("there are `{}`", known.join("`, `")),
+    }
+}
+
+/// That there is no such key, command or whatever else it is, with the [`hint`].
+///
+/// ```
+/// let words = mom_toml_faults::unknown("key", "adress", &["unit", "address"]);
+/// assert_eq!(words, "there is no key `adress`; did you mean `address`?");
+/// ```
+#[must_use]
+pub fn unknown(what: &str, word: &str, known: &[&str]) -> String {
+    format!("there is no {what} `{}`; {}", quoted(word), hint(word, known))
+}
+
+/// A word of somebody else's text as an error quotes it: in one line, printable, and of at most 64 characters.
+#[must_use]
+pub fn quoted(word: &str) -> String {
+    const MOST: usize = 64;
+    let mut text = String::new();
+    for c in word.chars().take(MOST) {
+        match c {
+            '"' | '\'' => text.push(c),
+            c => text.extend(c.escape_debug()),
+        }
+    }
+    if word.chars().nth(MOST).is_some() {
+        text.push('…');
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_similar_word_is_offered_and_otherwise_all() {
+        assert_eq!(hint("moter", &["leds", "motor"]), "did you mean `motor`?");
+        assert_eq!(hint("sing", &["leds", "motor"]), "there are `leds`, `motor`");
+        assert_eq!(hint("sing", &[]), "there is none here");
+        assert!(hint(&"m".repeat(1000), &["motor"]).starts_with("there are"));
+    }
+
+    #[test]
+    fn what_is_quoted_is_short_and_printable() {
+        assert_eq!(quoted("a\u{1b}b\u{202e}c\n\"d'"), "a\\u{1b}b\\u{202e}c\\n\"d'");
+        assert_eq!(quoted(&"x".repeat(99)).chars().count(), 65);
+    }
+}
