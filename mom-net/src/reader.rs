@@ -324,6 +324,9 @@ async fn open_some(
     announced: usize,
 ) -> Result<Option<usize>, NetError> {
     let mut arrived = 0;
+    if unpacker.is_tired() {
+        tokio::task::yield_now().await;
+    }
     if !unpacker.has_more() {
         let read = poll_fn(|context| {
             let read = unpacker.poll_read(stream, context);

@@ -59,7 +59,7 @@ impl Stream {
 pub enum Progress {
     /// All is written.
     Done,
-    /// The link takes no more now: wait for [`Writer::ready`].
+    /// The link takes no more now, or others are to have their turn: wait for [`Writer::ready`].
     Blocked,
 }
 
@@ -194,13 +194,18 @@ impl Writer {
         Ok(())
     }
 
-    /// Waits until the link takes more.
+    /// Waits until the link takes more; where what is written is compressed, until others have had their turn.
     ///
     /// # Errors
     /// A failed link.
     pub async fn ready(&self) -> Result<(), NetError> {
         match &self.sink {
-            Sink::Stream { stream, .. } => Ok(stream.link.writable().await?),
+            Sink::Stream { stream, .. } => {
+                if stream.packer.get().is_some_and(|packer| packer.next_turn()) {
+                    tokio::task::yield_now().await;
+                }
+                Ok(stream.link.writable().await?)
+            }
             Sink::Local(sender) => sender.reserve().await.map(drop).map_err(|_| closed()),
         }
     }
@@ -223,6 +228,11 @@ impl Writer {
     /// As [`Writer::send`].
     pub fn try_last_word(&self, parcel: Parcel) -> Result<(), NetError> {
         let mut queue = VecDeque::from([self.prepare(Arc::new(parcel))?]);
+        if let Sink::Stream { stream, .. } = &self.sink
+            && let Some(packer) = stream.packer.get()
+        {
+            packer.next_turn();
+        }
         self.try_write(&mut queue)?;
         self.finish();
         Ok(())

@@ -318,3 +318,70 @@ fn many_blanks_are_no_beginning() {
         );
     }
 }
+
+/// What came whole before a fault is handed on first.
+#[test]
+fn what_comes_before_a_fault_is_opened() {
+    for way in STREAMS {
+        let good = compressed(way, &[b"{\"family\":\"time\"}\n"]);
+        let bytes = [&good[..], &[0x78, 0x9c, 0xff, 0xff, 0xff, 0xff]].concat();
+        let mut unpacker = Unpacker::new(way, Form::Json);
+        let mut front = BytesMut::from(&bytes[..]);
+        assert!(unpacker.begin(&mut front).expect("a stream"));
+        assert_eq!(&front[..], b"{\"family\":\"time\"}\n", "{way}");
+        assert!(unpacker.has_more(), "{way}: the fault is to be told");
+        let error = unpacker.fill(&mut front).expect_err("it is broken");
+        assert_eq!(error.code, Code::BAD_FRAME, "{way}");
+    }
+}
+
+/// Streams that hold next to nothing, one after another, are work: others have their turn between some of them.
+#[test]
+fn streams_of_nothing_are_opened_a_few_at_a_time() {
+    for way in STREAMS {
+        let many = compressed(way, &[b"\n"]).repeat(1000);
+        let mut unpacker = Unpacker::new(way, Form::Json);
+        let mut front = BytesMut::from(&many[..]);
+        assert!(unpacker.begin(&mut front).expect("a stream"));
+        let mut turns = 0;
+        while unpacker.has_more() {
+            assert!(unpacker.is_tired(), "{way}");
+            let before = front.len();
+            unpacker.fill(&mut front).expect("a stream");
+            assert!(front.len() - before <= 16, "{way}: {}", front.len() - before);
+            turns += 1;
+        }
+        assert!(front.len() == 1000 && turns >= 60, "{way}: {turns}");
+    }
+}
+
+/// A large message is compressed a turn at a time, so that whoever else is served in this thread waits for one of them at most.
+#[tokio::test]
+async fn whoever_compresses_much_gives_way_between_turns() {
+    for way in STREAMS {
+        let (here, mut there) = ends(Form::Json).await;
+        there.reader.take_compressed(way);
+        here.writer.compress(way);
+        here.writer.at_boundary().expect("memory");
+        // Nothing of it fills the network.
+        let large = say(1, "0".repeat(4_000_000).as_str());
+        let mut queue = std::collections::VecDeque::from([here
+            .writer
+            .prepare(std::sync::Arc::new(large))
+            .expect("a form")]);
+        let reading = tokio::spawn(async move { next(&mut there).await.id });
+        let mut turns = 0;
+        while here.writer.try_write(&mut queue).expect("a link") == crate::Progress::Blocked {
+            turns += 1;
+            here.writer.ready().await.expect("a link");
+        }
+        assert!(turns >= 4_000_000 / 16_384, "{way}: {turns}");
+        assert_eq!(
+            timeout(PATIENCE, reading)
+                .await
+                .expect("it comes")
+                .expect("it is read"),
+            Some(1)
+        );
+    }
+}

@@ -16,6 +16,9 @@ use crate::socket::ReadHalf;
 /// Opened at once: what so many bytes make is handled before more is.
 const STEP: usize = 64 * 1024;
 
+/// What the end of a stream and the beginning of another cost, as bytes that are opened: tables and a window are made anew.
+const BEGINNING: usize = 4 * 1024;
+
 /// Read at once from the network.
 const AT_ONCE: usize = 16 * 1024;
 
@@ -46,6 +49,10 @@ pub(crate) struct Unpacker {
     has_more: bool,
     /// How many bytes were opened in all.
     opened: u64,
+    /// What is wrong behind what was opened.
+    fault: Option<WireError>,
+    /// It has worked, and opened next to nothing: others are to have their turn.
+    is_tired: bool,
 }
 
 enum Engine {
@@ -82,6 +89,8 @@ impl Unpacker {
             arrived: BytesMut::new(),
             has_more: false,
             opened: 0,
+            fault: None,
+            is_tired: false,
         }
     }
 
@@ -97,6 +106,11 @@ impl Unpacker {
     /// Whether something is here that can be opened at once.
     pub(crate) fn has_more(&self) -> bool {
         self.has_more || !self.arrived.is_empty()
+    }
+
+    /// Whether others are to have their turn before more is opened; asked once.
+    pub(crate) fn is_tired(&mut self) -> bool {
+        std::mem::take(&mut self.is_tired)
     }
 
     /// Looks whether the stream begins at the front of what has arrived, and opens the first of it; false if more has to arrive before
@@ -188,30 +202,44 @@ impl Unpacker {
         self.arrived.extend_from_slice(bytes);
     }
 
-    /// Opens some more of what has arrived.
+    /// Opens some more of what has arrived. What comes before a fault is given first, and the fault by the next call.
     ///
     /// # Errors
     /// `bad-frame` for what is no stream, or needs more memory than was agreed on.
     pub(crate) fn fill(&mut self, bytes: &mut BytesMut) -> Result<(), WireError> {
         let way = self.way;
+        if let Some(fault) = self.fault.take() {
+            return Err(fault);
+        }
         let Some(engine) = &mut self.engine else {
             return Ok(());
         };
         OPENED.with_borrow_mut(|opened| {
             opened.resize(STEP, 0);
-            let mut written = 0;
+            let (mut written, mut begun) = (0, 0);
             loop {
-                let step = engine.step(&self.arrived, &mut opened[written..]);
-                let (read, more) = step.map_err(|error| broken(way, &error))?;
-                self.arrived.advance(read);
-                written += more;
-                self.has_more = written == STEP;
-                if self.has_more || self.arrived.is_empty() {
-                    break;
+                let fault = match engine.step(&self.arrived, &mut opened[written..]) {
+                    Ok(Step {
+                        read: 0, written: 0, ..
+                    }) if !self.arrived.is_empty() => broken(way, &"nothing can be made of it"),
+                    Err(error) => broken(way, &error),
+                    Ok(step) => {
+                        self.arrived.advance(step.read);
+                        written += step.written;
+                        begun += usize::from(step.is_end) * BEGINNING;
+                        self.has_more = written == STEP;
+                        self.is_tired = begun > written && begun >= STEP;
+                        match self.has_more || self.is_tired || self.arrived.is_empty() {
+                            true => break,
+                            false => continue,
+                        }
+                    }
+                };
+                if written == 0 {
+                    return Err(fault);
                 }
-                if read == 0 && more == 0 {
-                    return Err(broken(way, &"nothing can be made of it"));
-                }
+                (self.fault, self.has_more) = (Some(fault), true);
+                break;
             }
             bytes.extend_from_slice(&opened[..written]);
             self.opened += written as u64;
@@ -220,26 +248,39 @@ impl Unpacker {
     }
 }
 
+/// What was done at once.
+struct Step {
+    read: usize,
+    written: usize,
+    /// A stream or frame has ended.
+    is_end: bool,
+}
+
 impl Engine {
-    /// Opens some bytes into this room; gives how many were read, and how many written.
-    fn step(&mut self, bytes: &[u8], room: &mut [u8]) -> io::Result<(usize, usize)> {
+    /// Opens some bytes into this room.
+    fn step(&mut self, bytes: &[u8], room: &mut [u8]) -> io::Result<Step> {
         match self {
             Engine::Zstd(decoder) => {
                 let status = decoder.run_on_buffers(bytes, room)?;
-                Ok((status.bytes_read, status.bytes_written))
+                Ok(Step {
+                    read: status.bytes_read,
+                    written: status.bytes_written,
+                    is_end: status.remaining == 0,
+                })
             }
             Engine::Deflate(decompress) => {
                 let (read, written) = (decompress.total_in(), decompress.total_out());
                 let status = decompress.decompress(bytes, room, FlushDecompress::None)?;
-                let counts = (
-                    (decompress.total_in() - read) as usize,
-                    (decompress.total_out() - written) as usize,
-                );
-                if status == Status::StreamEnd {
+                let step = Step {
+                    read: (decompress.total_in() - read) as usize,
+                    written: (decompress.total_out() - written) as usize,
+                    is_end: status == Status::StreamEnd,
+                };
+                if step.is_end {
                     // Another may follow it, as frames of zstd do.
                     decompress.reset(true);
                 }
-                Ok(counts)
+                Ok(step)
             }
         }
     }

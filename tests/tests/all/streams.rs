@@ -321,7 +321,7 @@ async fn the_peer_on_the_page_opens_what_the_hub_says() {
     assert!(welcome.contains(r#""compress":"stream-deflate""#), "{welcome}");
     // It is in no channel: what the hub says to it is that it goes.
     let mut carol = Raw::login(broker.local_addr(), Form::Json, "carol").await;
-    let content = Map::new().with("peer", "alice").with("text", "the page is read");
+    let content = Map::new().with("peer", "alice").with("text", "the page is read: 5 €");
     let expel = Parcel::new(Family::Context, "expel")
         .context(at("/"))
         .content(content);
@@ -330,6 +330,6 @@ async fn the_peer_on_the_page_opens_what_the_hub_says() {
     while let Some(line) = next().await {
         said.push_str(&line);
     }
-    assert!(said.contains("the page is read"), "{said}");
+    assert!(said.contains("the page is read: 5 €"), "{said}");
     broker.stop().await;
 }
