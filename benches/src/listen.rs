@@ -33,7 +33,7 @@ pub trait Sink: Send + 'static {
         Err(Error::Unexpected(format!("dropped: {count}")))
     }
 
-    /// What was read has been looked through.
+    /// No further frame is in the read buffer.
     fn end(&mut self) {}
 
     /// This receiver is at its end.

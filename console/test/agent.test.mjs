@@ -51,7 +51,7 @@ for (const [name, of] of Object.entries({ align: () => [SERVO, "peer", "aligned"
     says("progress", { [asker]: "bob", state: "accepted", agent: "it" });
     assert.equal(made.phase, "asking", "what is for others is theirs");
     says("progress", { [asker]: "alice", state: "accepted", agent: "it" }, { history: true });
-    assert.equal(made.phase, "asking", "what was said before is no answer");
+    assert.equal(made.phase, "asking", "what was said before is not an answer");
     says("progress", { [asker]: "alice", state: "accepted", agent: "it" });
     await settled();
     assert.deepEqual(hub.calls[1], ["give", "/robot/token", "it", { for: 120_000 }]);

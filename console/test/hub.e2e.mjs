@@ -131,7 +131,7 @@ test("what others say is text, and a message is sent with a receipt", async (t) 
   await page.getByLabel("Content as").selectOption("json");
   await page.getByLabel("Content", { exact: true }).fill("{");
   await page.locator("mom-watch").getByRole("button", { name: "Send" }).click();
-  await page.getByText("This is no JSON").waitFor();
+  await page.getByText("This is not JSON").waitFor();
   await accessible(page);
 });
 

@@ -62,8 +62,8 @@ test("a model that is written reads as the same model", async () => {
   assert.equal(quoted("a\u007f\n"), '"a\\u007f\\n"');
 });
 
-test("a file that is no model is refused with its place, and what is not known in it is told", async () => {
-  assert.match((await read('name = "a"\nid = = 1')).mistake, /^It is no TOML, line 2, column 6: /);
+test("a file that is not a model is refused with its place, and what is not known in it is told", async () => {
+  assert.match((await read('name = "a"\nid = = 1')).mistake, /^It is not TOML, line 2, column 6: /);
   assert.match((await read("element = 3")).mistake, /\[\[element\]\]/);
   assert.match((await read("#".repeat(LONGEST_FILE + 1))).mistake, /larger than/);
   const { draft, notes } = await read('name = "a"\nid = 2024-01-01\ncolour = 1\n# hm\n[[element]]\nname = "w"\nkind = "effectr"\nspeed = 3\nrange = [1]\nparts = ["a", "b"]\ncount = 3\nmotion = "incremental"\ninterpolate = true\n');
@@ -84,7 +84,7 @@ test("each mistake stands at its field", () => {
     [{ ...wheel, type: "u64" }, "type", /“u64”/],
     [{ ...wheel, count: "0" }, "count", /1 to 65535/],
     [{ ...wheel, count: "x, x" }, "count", /Two parts/],
-    [{ ...wheel, count: "x, Y" }, "count", /“Y” is no name/],
+    [{ ...wheel, count: "x, Y" }, "count", /“Y” is not a name/],
     [{ ...wheel, unit: "m s" }, "unit", /no unit/],
     [{ ...wheel, count: "3", unit: "m, s" }, "unit", /2 values for 3 numbers/],
     [{ ...wheel, scale: "0" }, "scale", /1e-12/],

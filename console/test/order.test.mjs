@@ -7,7 +7,7 @@ const { troublesOf } = await load("hub/order.ts");
 const report = (more) => ({ order: "stop", top: "/", at: 0, devices: [], refused: [], newer: [], empty: [], denied: [], over: true, taken: true, missed: false, trying: [], ...more });
 const device = (path, more) => ({ path, device: path.slice(1), ...more });
 
-test("what needs nobody's attention is no notice", () => {
+test("what needs nobody's attention is not a notice", () => {
   const well = ["measured", "not-measured", "unsaid"].map((rest, at) => device(`/${at}`, { word: "obeys", after: 5, rest }));
   assert.deepEqual(troublesOf(report({ devices: well })), []);
   assert.deepEqual(troublesOf(report({ order: "unstop", devices: [device("/a", { after: 5, rest: "moving" })] })), []);

@@ -26,7 +26,7 @@ test("a channel's answer has its members", () => {
   assert.deepEqual([sample.channels.length, sample.peers.length, sample.members[0].counts.delivered], [1, 0, 2]);
 });
 
-test("nonsense is no error", () => {
+test("nonsense is not an error", () => {
   const sample = sampleOf({ channels: [3, null, { dropped: [1] }], peers: "x", memory: 7 }, 0);
   assert.deepEqual([sample.channels.length, sample.peers.length, sample.memory], [3, 0, undefined]);
 });

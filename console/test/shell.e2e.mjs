@@ -178,7 +178,7 @@ test("who has no right for something is told so beforehand, by which rule", asyn
   await page.locator("mom-context").getByText(/^Create here: /).waitFor();
   assert.equal(await make.getAttribute("aria-disabled"), "true");
   assert.match(await make.getAttribute("title"), /lab/);
-  // It is no button to Playwright, but a person can press it.
+  // It is not a button to Playwright, but a person can press it.
   await make.click({ force: true });
   assert.equal(await page.locator("mom-context dialog[open]").count(), 0);
 });

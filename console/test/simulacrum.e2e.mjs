@@ -169,7 +169,7 @@ test("the owner sets, executes, switches and asks, each under the fence", async 
 
   const value = row("left-wheel").getByLabel("Value (mm/s)");
   await value.fill("fast");
-  await row("left-wheel").getByText("“fast” is no number").waitFor();
+  await row("left-wheel").getByText("“fast” is not a number").waitFor();
   await value.fill("100");
   await row("left-wheel").getByLabel("for (ms)").fill("");
   await row("left-wheel").getByText("A speed needs a time.").waitFor();
@@ -364,7 +364,7 @@ test("a model is made: packets follow, mistakes stand at their field, and it is 
   await modeller.locator('tr[data-element="lamp"]').waitFor();
   assert.equal(await size("Device map, 17 bits", 0), "3");
   await modeller.locator('input[type="file"]').setInputFiles({ name: "bad.toml", mimeType: "text/plain", buffer: Buffer.from("name = ") });
-  await modeller.getByText(/^bad\.toml was not loaded\. It is no TOML, line 1, column \d+:/).waitFor();
+  await modeller.getByText(/^bad\.toml was not loaded\. It is not TOML, line 1, column \d+:/).waitFor();
   await modeller.getByText("mom rsp generate cubo.toml --rust cubo.rs --c cubo.h --docs cubo.md").waitFor();
 });
 

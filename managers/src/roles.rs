@@ -102,7 +102,7 @@ fn make_rule(setup: &Setup<'_>, index: usize, params: RuleParams) -> Result<Rule
     };
     let max_age = params.max_age.map(|millis| setup.micros(&key("max-age"), millis));
     if max_age.is_some() && !allow {
-        let text = "max-age needs allow: only allowed messages can have a greatest age";
+        let text = "`max-age` requires `allow`: only allowed messages have a greatest age";
         return Err(setup.error(&key("max-age"), text));
     }
     if params.priority.is_some() && !allow {
@@ -111,7 +111,7 @@ fn make_rule(setup: &Setup<'_>, index: usize, params: RuleParams) -> Result<Rule
     }
     if let Some(priority) = params.priority.filter(|priority| !PRIORITY.contains(priority)) {
         let text = format!(
-            "{priority} is no priority: they go from {} to {}",
+            "{priority} is not a priority: they go from {} to {}",
             PRIORITY.start(),
             PRIORITY.end()
         );

@@ -227,7 +227,7 @@ fn read(text: &str) -> Result<Address, String> {
     match (inside, host) {
         (None, "") => Err("it names no host".to_owned()),
         (None, _) if host.contains(':') => Err("an IPv6 address stands in brackets, as [::1]".to_owned()),
-        (None, _) if !host.chars().all(named) => Err(format!("{host:?} is no name of a host")),
+        (None, _) if !host.chars().all(named) => Err(format!("{host:?} is not a name of a host")),
         (Some(inside), _) if !inside.contains(':') => {
             Err("brackets are for IPv6 addresses, as [::1]".to_owned())
         }
@@ -254,7 +254,7 @@ fn read_pin(text: &str) -> Result<Fingerprint, String> {
 fn read_form(text: &str, door: Door) -> Result<Form, String> {
     let known = |form: &Form| form.word() == text && (door != Door::WebSocket || *form != Form::Xml);
     let found = Form::ALL.into_iter().find(known);
-    found.ok_or_else(|| format!("{text:?} is no form that this door carries"))
+    found.ok_or_else(|| format!("{text:?} is not a form that this door carries"))
 }
 
 /// Reads a port, or says what is wrong with it.

@@ -88,7 +88,7 @@ impl ReadHalf {
         }
     }
 
-    /// What is compressed is no text: a WebSocket of text takes binary messages, too.
+    /// What is compressed is not text: a WebSocket of text takes binary messages, too.
     pub(crate) fn take_binary(&self) {
         if let ReadHalf::WebSocket(link) = self {
             link.take_binary();
@@ -156,7 +156,7 @@ impl WriteHalf {
         }
     }
 
-    /// What follows is no text: a WebSocket of text sends it in binary messages.
+    /// What follows is not text: a WebSocket of text sends it in binary messages.
     pub(crate) fn begin_binary(&self) {
         if let WriteHalf::WebSocket(link) = self {
             link.begin_binary();

@@ -59,7 +59,7 @@ impl Form {
     /// Encodes a parcel as one frame.
     ///
     /// # Errors
-    /// `bad-content`, `bad-encoding`, `too-deep` for encoded content that had to be opened and is no value;
+    /// `bad-content`, `bad-encoding`, `too-deep` for encoded content that had to be opened and is not a value;
     /// `not-encodable` for values without a form on the wire.
     pub fn encode(self, parcel: &Parcel) -> Result<Encoded, WireError> {
         self.encode_with(parcel, &mut Scratch::default())

@@ -102,9 +102,9 @@ impl Code {
     pub const TOO_DEEP: Code = Code::new(228, "too-deep");
     /// A value that has no form on the wire.
     pub const NOT_ENCODABLE: Code = Code::new(229, "not-encodable");
-    /// The slots of a parcel, or the content of one that is no message, are larger than their limit.
+    /// The slots of a parcel, or the content of one that is not a message, are larger than their limit.
     pub const TOO_LONG: Code = Code::new(230, "too-long");
-    /// A line that is no JSON.
+    /// A line that is not JSON.
     pub const BAD_JSON: Code = Code::new(231, "bad-json");
     /// An `unstop` names an older stop than the one that holds.
     pub const NEWER_STOP: Code = Code::new(232, "newer-stop");

@@ -31,7 +31,7 @@ impl Content {
     /// Opens the content.
     ///
     /// # Errors
-    /// `bad-content`, `bad-encoding` or `too-deep` for encoded content that is no value.
+    /// `bad-content`, `bad-encoding` or `too-deep` for encoded content that is not a value.
     pub fn to_value(&self) -> Result<Value, WireError> {
         match self {
             Content::Value(value) => Ok(value.clone()),

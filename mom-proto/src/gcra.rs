@@ -15,7 +15,7 @@ pub struct Pace {
     each: u64,
     /// What a µs pays back.
     back: u64,
-    /// The most debt; a burst for which it is too small a number is no limit.
+    /// The most debt; a burst for which it is too small a number is not a limit.
     most: u64,
 }
 
@@ -215,7 +215,7 @@ mod tests {
             assert_eq!(
                 used.take(&pace, u64::MAX, now),
                 Ok(()),
-                "so high a burst is no limit"
+                "so high a burst is not a limit"
             );
         }
         let pace = Pace::per_second(1_000_000_000_000, 1_000_000_000_000);

@@ -78,7 +78,7 @@ impl<'de> Deserialize<'de> for Limit {
             fn visit_u64<E: de::Error>(self, number: u64) -> Result<Limit, E> {
                 match number {
                     0 => Err(E::custom(
-                        "0 is no limit: write a number from 1, or \"unlimited\"",
+                        "0 is not a limit: write a number from 1, or \"unlimited\"",
                     )),
                     _ => Ok(Limit::At(number)),
                 }
@@ -104,7 +104,7 @@ pub struct Limits {
     pub parcel: Limit,
     /// All slots of one parcel but its content.
     pub slots: usize,
-    /// The content of a parcel that is no message.
+    /// The content of a parcel that is not a message.
     pub control: usize,
     /// Lists and maps inside each other.
     pub depth: usize,

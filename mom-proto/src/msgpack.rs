@@ -166,7 +166,7 @@ impl<'a> ItemReader<'a> {
         let at = self.position;
         match self.item()? {
             Item::Text(key) => Ok(key),
-            _ => Err(bad_at(at, "a key that is no string")),
+            _ => Err(bad_at(at, "a key that is not a string")),
         }
     }
 
@@ -311,7 +311,7 @@ pub(crate) fn deeper(depth: usize, position: usize) -> Result<usize, WireError> 
 fn bad_at(position: usize, what: &str) -> WireError {
     WireError::new(
         Code::BAD_CONTENT,
-        format!("content that is no MessagePack value: {what}"),
+        format!("content that is not a MessagePack value: {what}"),
     )
     .position(position)
 }

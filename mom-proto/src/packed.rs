@@ -71,7 +71,7 @@ impl Packed {
     /// The value as MessagePack.
     ///
     /// # Errors
-    /// `bad-content` for what is no frame of zstd, or one of another length than was said. No more memory than that is taken.
+    /// `bad-content` for what is not a frame of zstd, or one of another length than was said. No more memory than that is taken.
     pub fn unpack(&self) -> Result<Bytes, WireError> {
         let unpacked = UNPACKER.with_borrow_mut(|unpacker| {
             let unpacker = match unpacker {

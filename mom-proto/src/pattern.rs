@@ -39,7 +39,7 @@ impl Pattern {
             Some(fixed) => (fixed, true),
             None => (text, false),
         };
-        // A wildcard is no path segment: what remains when it is replaced by one has to be a path.
+        // A wildcard is not a path segment: what remains when it is replaced by one has to be a path.
         let plain: Vec<&str> = fixed
             .split('/')
             .map(|segment| if segment == "*" { "x" } else { segment })

@@ -21,7 +21,7 @@ pub type Micros = u64;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Time(i64);
 
-/// Text that is no instant of the form `2026-11-21T10:00:00.000123Z`.
+/// Text that is not an instant of the form `2026-11-21T10:00:00.000123Z`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("a time is written like 2026-11-21T10:00:00.000123Z, in UTC")]
 pub struct BadTime;

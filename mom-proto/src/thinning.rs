@@ -104,7 +104,7 @@ impl FromStr for MessageRate {
             "min" => 60 * SECOND,
             _ => return Err(wrong(&format_args!("{text:?}"))),
         };
-        // A sign or a blank is no digit.
+        // A sign or a blank is not a digit.
         let digits = count.bytes().all(|byte| byte.is_ascii_digit());
         let count = count.parse().ok().filter(|_| digits);
         count

@@ -237,7 +237,7 @@ impl Verb {
         }
     }
 
-    /// The most bytes of content that the hub opens of a parcel that is no message: more is refused before it is looked at. Of a message
+    /// The most bytes of content that the hub opens of a parcel that is not a message: more is refused before it is looked at. Of a message
     /// the hub opens nothing that it does not need, and nothing above [`Verb::OPENED`].
     pub fn opens(self, limits: &Limits) -> usize {
         match self {
@@ -256,7 +256,7 @@ impl Verb {
         }
     }
 
-    /// Whether a parcel asks for it; what is no request is a right that another request needs as well.
+    /// Whether a parcel asks for it; what is not a request is a right that another request needs as well.
     fn is_asked_for(self) -> bool {
         self != Verb::Device
     }

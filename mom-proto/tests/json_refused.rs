@@ -1,4 +1,4 @@
-//! JSON that is no parcel: the code, the slot and the byte at which reading stopped (threats 2 and 5).
+//! JSON that is not a parcel: the code, the slot and the byte at which reading stopped (threats 2 and 5).
 
 use bytes::BytesMut;
 use mom_proto::codec::Frame;

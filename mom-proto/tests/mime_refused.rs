@@ -80,7 +80,7 @@ const MEDIA: &[(&str, &str)] = &[
     ),
 ];
 
-/// Threat 6, and what is no entity at all.
+/// Threat 6, and what is not an entity at all.
 #[test]
 fn framing() {
     let small = Limits {

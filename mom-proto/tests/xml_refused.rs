@@ -1,4 +1,4 @@
-//! XML that is no parcel: the code, the slot and the byte of the body (threats 1–5).
+//! XML that is not a parcel: the code, the slot and the byte of the body (threats 1–5).
 
 mod common;
 

@@ -7,7 +7,7 @@ use std::{fs, io};
 use clap::CommandFactory;
 use clap_complete::Shell;
 
-/// The first of the two arguments that ask for them. It is no option of the programs, because it is for packagers only.
+/// The first of the two arguments that ask for them. It is not an option of the programs, because it is for packagers only.
 pub const ASK: &str = "--write-pages";
 
 /// Writes the pages of a program that was started with [`ASK`] and a folder; none = it was asked for something else.

@@ -93,7 +93,7 @@ impl Asking {
     /// The next answer; none at the end of the connection.
     ///
     /// # Panics
-    /// If neither comes, or what comes is no answer.
+    /// If neither comes, or what comes is not an answer.
     pub async fn answer(&mut self) -> Option<Answer> {
         let heard = timeout(PATIENCE, self.try_answer()).await;
         heard.expect("the broker answers or closes")

@@ -29,7 +29,7 @@ impl AuditLog {
     /// All that is in it, once the broker has ended.
     ///
     /// # Panics
-    /// If it is not a whole log: a line that is no line, a gap, a beginning or an end that is missing.
+    /// If it is not a whole log: a line that is not a line, a gap, a beginning or an end that is missing.
     pub fn lines(&self) -> Lines {
         let text = std::fs::read_to_string(self.path()).expect("an audit log");
         let lines: Vec<Json> = text

@@ -108,7 +108,7 @@ async fn exchange(operator: &mut Raw, robot: &mut Raw, number: u64, fence: u64) 
     }
     let heard = loop {
         let parcel = robot.next().await.expect("the robot is connected");
-        // Who comes and goes is no message; a halt would be one.
+        // Who comes and goes is not a message; a halt would be one.
         match parcel.family {
             Family::Event | Family::Time => answer(robot, &parcel).await,
             // What somebody says who owns nothing.

@@ -165,7 +165,7 @@ impl Link {
     /// What the broker answered.
     ///
     /// # Panics
-    /// If that is no challenge, or the connection ends.
+    /// If that is not a challenge, or the connection ends.
     pub async fn answer(&self, raw: &mut Raw, challenge: &Value) -> Result<Value, WireError> {
         let hub = challenge.get("hub").and_then(Value::as_str).expect("a name");
         let nonce = challenge

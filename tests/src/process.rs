@@ -7,7 +7,7 @@ use crate::programs::Running;
 /// The memory of a program, in bytes: what it has (`VmRSS`), or the most that it ever had (`VmHWM`).
 ///
 /// # Panics
-/// If it has ended, or this is no Linux.
+/// If it has ended, or this is not Linux.
 pub fn resident(program: &Running, key: &str) -> usize {
     let status = fs::read_to_string(format!("/proc/{}/status", program.id())).expect("it runs");
     let line = status
@@ -20,7 +20,7 @@ pub fn resident(program: &Running, key: &str) -> usize {
 /// Its threads.
 ///
 /// # Panics
-/// If it has ended, or this is no Linux.
+/// If it has ended, or this is not Linux.
 pub fn threads(program: &Running) -> usize {
     entries(program, "task")
 }
@@ -28,7 +28,7 @@ pub fn threads(program: &Running) -> usize {
 /// Its open files, connections among them.
 ///
 /// # Panics
-/// If it has ended, or this is no Linux.
+/// If it has ended, or this is not Linux.
 pub fn files(program: &Running) -> usize {
     entries(program, "fd")
 }

@@ -174,7 +174,7 @@ impl Raw {
     /// The next parcel, or `None` when the broker has closed.
     ///
     /// # Panics
-    /// If nothing comes, or what comes is no parcel.
+    /// If nothing comes, or what comes is not a parcel.
     pub async fn next(&mut self) -> Option<Parcel> {
         timeout(PATIENCE, self.try_next())
             .await

@@ -34,7 +34,7 @@ impl fmt::Display for Spot {
 /// What can be wrong in a file of any format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shape {
-    /// It is no TOML.
+    /// It is not TOML.
     Syntax,
     /// Nobody knows this key.
     UnknownKey,

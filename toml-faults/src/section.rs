@@ -69,7 +69,7 @@ impl Section {
     ///
     /// # Errors
     ///
-    /// The first place that is no TOML, in the parser's words.
+    /// The first place that is not TOML, in the parser's words.
     pub fn parse(text: &str) -> Result<Section, Misfit> {
         let table = DeTable::parse(text).map_err(|error| {
             let span = error.span().unwrap_or(0..0);
@@ -127,7 +127,7 @@ impl Section {
     ///
     /// # Errors
     ///
-    /// The first that is no table, or the value that is no list of them.
+    /// The first that is not a table, or the value that is not a list of them.
     pub fn tables(&self, key: &str) -> Result<Vec<&Section>, Misfit> {
         let Some(item) = self.get(key) else {
             return Ok(Vec::new());

@@ -196,7 +196,7 @@ fn reasons<'a>(survivors: &'a Table, package: &str) -> Result<BTreeMap<&'a str, 
         return Ok(BTreeMap::new());
     };
     let listed = listed.as_table();
-    let listed = listed.with_context(|| format!("{SURVIVORS}: {package} is no table"))?;
+    let listed = listed.with_context(|| format!("{SURVIVORS}: {package} is not a table"))?;
     listed
         .iter()
         .map(|(mutant, reason)| {

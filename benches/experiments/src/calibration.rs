@@ -175,7 +175,7 @@ fn verdict(cells: &Cells, scale: f64, all: usize) -> String {
     let fit = |poses: usize| at(poses, 1.0).map_or(f64::NAN, |cell| cell.fit);
     let refused: usize = cells.iter().flatten().map(|cell| cell.refused).sum();
     format!(
-        "\nThe fit's own RMS is no measure of accuracy: with few poses it is small because 11 numbers are fitted to 2 equations a pose, and rises with more poses towards the noise (√2 of the deviation), while the error at fresh points falls. \
+        "\nThe fit's own RMS is not a measure of accuracy: with few poses it is small because 11 numbers are fitted to 2 equations a pose, and rises with more poses towards the noise (√2 of the deviation), while the error at fresh points falls. \
          With a noise of 1 pixel and 6, 20 and 50 poses the fit says {:.2}, {:.2} and {:.2} pixels, and fresh points are off by {:.2}, {:.2} and {:.2} ({:.1}, {:.1} and {:.1} mm). \
          So the paper's 20 poses are enough where the marker is found to a fraction of a pixel; beyond them the error falls with about the root of their number. \
          {refused} of the {all} calibrations gave no matrix, with the reason. What is not in these figures: errors of the arm's poses and of the lens, which no number of poses takes away.\n",

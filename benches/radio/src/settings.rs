@@ -155,6 +155,6 @@ mod tests {
         assert_eq!(at(1_000_000).exchange_time(1500), 50 + 192 + 12_288 + 10 + 304);
         // 78 × 8 / 11 = 56.7 µs: the last one is begun.
         assert_eq!(at(11_000_000).frame_time(42), 192 + 57);
-        assert!(at(0).frame_time(42) > 0, "no rate is no division by zero");
+        assert!(at(0).frame_time(42) > 0, "no rate is not a division by zero");
     }
 }

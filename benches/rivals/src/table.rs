@@ -206,7 +206,7 @@ fn matrix(outcomes: &[Outcome], metrics: &[Metric], takes: impl Fn(&Row) -> bool
     out + "\n"
 }
 
-/// A hub that is faster than a relay shows that the relay is no floor there, or a mistake of the measurement.
+/// A hub that is faster than a relay shows that the relay is not a floor there, or a mistake of the measurement.
 fn beats_the_floor(outcome: &Outcome) -> Vec<Kind> {
     let floors = [Kind::RawRelay, Kind::Relay].map(|kind| outcome.value(kind, Metric::Rate));
     let Some(floor) = floors.into_iter().flatten().reduce(f64::max) else {

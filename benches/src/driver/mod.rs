@@ -189,7 +189,7 @@ pub trait Scanner: Send {
 pub enum Scan {
     /// Not all of a frame.
     Incomplete,
-    /// A frame of this length that is no parcel of the workload.
+    /// A frame of this length that is not a parcel of the workload.
     Other(usize),
     /// A frame of this length with a parcel of this number, or with the end of one.
     Parcel(usize, u32),

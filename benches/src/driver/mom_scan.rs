@@ -24,7 +24,7 @@ struct Samples {
 fn decoder(form: Form) -> Decoder {
     let mut decoder = Decoder::new(form, &Limits::default());
     if form == Form::Binary {
-        // Its own greeting is read already; a preface and nothing after it is no frame.
+        // Its own greeting is read already; a preface and nothing after it is not a frame.
         let greeted = decoder.decode(&mut BytesMut::from(&PREFACE[..]));
         debug_assert!(matches!(greeted, Ok(None)));
     }
@@ -73,7 +73,7 @@ impl Samples {
         }
     }
 
-    /// Looks at a frame that is no message: whatever tells of trouble ends the measurement.
+    /// Looks at a frame that is not a message: whatever tells of trouble ends the measurement.
     fn other(&mut self, frame: &[u8]) -> Result<Scan, Error> {
         let parcel = self.decode(frame)?;
         match parcel.family {

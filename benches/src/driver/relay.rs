@@ -29,7 +29,9 @@ impl Driver for RelayDriver {
         }
         match link.received.drain(..PREFIX).eq([0; PREFIX]) {
             true => Ok(link),
-            false => Err(Error::Unexpected("a greeting that is no empty frame".to_owned())),
+            false => Err(Error::Unexpected(
+                "a greeting that is not an empty frame".to_owned(),
+            )),
         }
     }
 

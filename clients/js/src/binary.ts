@@ -115,7 +115,7 @@ export function decode(bytes: Uint8Array, exact = false): Parcel {
 
 function one<T>(words: readonly T[], number: number, slot: string): T {
   const word = words[number];
-  if (word === undefined) throw local("bad-slot", `${number} is no ${slot}`);
+  if (word === undefined) throw local("bad-slot", `${number} is not a ${slot}`);
   return word;
 }
 

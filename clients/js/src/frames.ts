@@ -47,7 +47,7 @@ export class Frames {
       } else if (kind === CHUNK) {
         const whole = this.#chunk(new Reader(frame.subarray(1)));
         if (whole) yield whole;
-      } else if (kind < 128) throw local("bad-frame", `${kind} is no kind of frames`);
+      } else if (kind < 128) throw local("bad-frame", `${kind} is not a kind of frames`);
     }
   }
 
@@ -72,7 +72,7 @@ export class Frames {
   #greet(): boolean {
     const held = Math.min(this.#end - this.#begin, PREFACE.length);
     for (let at = 0; at < Math.min(held, 4); at++) {
-      if (this.#bytes[this.#begin + at] !== PREFACE[at]) throw local("bad-frame", "who answers is no hub that speaks the binary form");
+      if (this.#bytes[this.#begin + at] !== PREFACE[at]) throw local("bad-frame", "who answers is not a hub that speaks the binary form");
     }
     if (held < PREFACE.length) return false;
     const major = this.#bytes[this.#begin + 4];

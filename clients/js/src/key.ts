@@ -33,7 +33,7 @@ export class Key {
   /** Reads PKCS#8 in PEM, as `mom keygen` writes it. The key cannot be read out of what this gives. */
   static async fromPem(pem: string): Promise<Key> {
     const base64 = PEM.exec(pem)?.[1];
-    if (!base64) throw local("bad-encoding", "this is no private key in PEM (-----BEGIN PRIVATE KEY-----)");
+    if (!base64) throw local("bad-encoding", "this is not a private key in PEM (-----BEGIN PRIVATE KEY-----)");
     const bytes = Uint8Array.from(atob(base64.replace(/\s/g, "")), (letter) => letter.charCodeAt(0));
     const crypto = subtle();
     // A key with its public half beside it is of another version of PKCS#8, which browsers refuse: the private half is enough.
@@ -42,7 +42,7 @@ export class Key {
     try {
       return new Key(await supported(crypto.importKey("pkcs8", plain, ED25519, false, ["sign"])));
     } catch (error) {
-      if (error instanceof DOMException && error.name === "DataError") throw local("bad-encoding", "this is no private key of Ed25519");
+      if (error instanceof DOMException && error.name === "DataError") throw local("bad-encoding", "this is not a private key of Ed25519");
       throw error;
     }
   }

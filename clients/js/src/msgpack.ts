@@ -130,7 +130,7 @@ export class Unpacker {
   }
 
   #int(number: bigint): Value {
-    if (BigInt.asIntN(64, number) !== number) throw local("bad-content", `${number} is no int of 64 bits`);
+    if (BigInt.asIntN(64, number) !== number) throw local("bad-content", `${number} is not an int of 64 bits`);
     return Number.isSafeInteger(Number(number)) ? Number(number) : number;
   }
 
@@ -175,7 +175,7 @@ export class Unpacker {
     const map = new Map<string, Value>();
     for (let left = count; left > 0; left--) {
       const key = this.value(0);
-      if (typeof key !== "string" || map.has(key)) throw local("bad-content", `${String(key)} is no key of a map, or there twice`);
+      if (typeof key !== "string" || map.has(key)) throw local("bad-content", `${String(key)} is not a key of a map, or there twice`);
       map.set(key, this.value(depth - 1));
     }
     return this.exact ? map : Object.fromEntries(map);

@@ -23,12 +23,12 @@ export interface Machine {
  * lets only an unstop free it that names the newest stop, and says how it stands after each.
  */
 export class Device {
-  /** Fulfilled when it is no device there any more. */
+  /** Fulfilled when it is not a device there any more. */
   readonly ended: Promise<void>;
   readonly #latch = new Latch();
   readonly #events: Events;
   #silent = false;
-  /** Why it is no device any more. */
+  /** Why it is not a device any more. */
   #over: string | null = null;
 
   /** @internal */
@@ -78,7 +78,7 @@ export class Device {
       for await (const event of this.#events) this.#heard(event);
     } finally {
       // Also where its machine has failed.
-      this.#over ??= "it is no device of its channel any more";
+      this.#over ??= "it is not a device of its channel any more";
       this.machine.halt(this.#over);
     }
   }

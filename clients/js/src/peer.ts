@@ -529,7 +529,7 @@ export class Peer {
 
   /** Joins a context, parents first. */
   async enter(path: string, kind?: string, terms?: Fields): Promise<void> {
-    if (!/^\/([^/]+(\/[^/]+)*)?$/.test(path)) throw new MomError("local", "bad-path", `${JSON.stringify(path)} is no path: write / or /a/b`, 221);
+    if (!/^\/([^/]+(\/[^/]+)*)?$/.test(path)) throw new MomError("local", "bad-path", `${JSON.stringify(path)} is not a path: write / or /a/b`, 221);
     const entered: Place[] = [];
     for (const each of wayTo(path)) {
       let place = this.places.get(each);

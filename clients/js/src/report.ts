@@ -3,7 +3,7 @@ import { doorsOf } from "./address.js";
 import { utf8 } from "./bytes.js";
 import { MomError } from "./error.js";
 
-/** The bytes of a report that a hub takes, and the letters of what is no text in it. */
+/** The bytes of a report that a hub takes, and the letters of what is not text in it. */
 const MOST = 4096;
 const WORD = 64;
 /** So many reports in a minute; a hub takes 10 from one address. */

@@ -88,7 +88,7 @@ test("what has no form on the wire is refused here", () => {
   }
 });
 
-test("what is no value is a fault of the content and of nothing else", () => {
+test("what is not a value is a fault of the content and of nothing else", () => {
   const bad = ["c1", "c403 00", "a2 c328", "a1 00", "92 01", "df ffffffff", "82 a161 01 a161 02", "81 01 02", "cb 7ff8000000000000", "cf ffffffffffffffff", "d4 01 00", "01 02", "91".repeat(33) + "01"];
   for (const digits of bad) {
     const parcel = decode(Uint8Array.from([0x22, 9, ...Buffer.from(digits.replace(/\s/g, ""), "hex")]));

@@ -80,7 +80,7 @@ export function jsonForm({ Double, Time }) {
     if (tag === "$time") return Time.of(value);
     if (tag === "$binary") return new Uint8Array(Buffer.from(value, "base64"));
     if (tag === "$map") return value;
-    throw new Error(`${tag} is no tag`);
+    throw new Error(`${tag} is not a tag`);
   }
 
   /** A parcel of a line. */

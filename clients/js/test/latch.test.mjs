@@ -175,7 +175,7 @@ test("a device stops itself, and halts when the hub is silent or it leaves", asy
   await eventually(() => told.at(-1) === "halt: the connection to the hub is silent or lost");
   hub.deaf = false;
   await arm.leave();
-  assert.equal(told.at(-1), "halt: it is no device of its channel any more");
+  assert.equal(told.at(-1), "halt: it is not a device of its channel any more");
 });
 
 test("a device whose machine fails halts it", async (t) => {
@@ -186,7 +186,7 @@ test("a device whose machine fails halts it", async (t) => {
   say("stop", { extra: { stop: 7 } });
   say("unstop", { extra: { stop: 7 } });
   await assert.rejects(arm.ended, /no brake/);
-  assert.equal(told.at(-1), "halt: it is no device of its channel any more");
+  assert.equal(told.at(-1), "halt: it is not a device of its channel any more");
 });
 
 test("what the hub says of stops is kept in a full queue, the newest of it", async (t) => {

@@ -114,7 +114,7 @@ class Queue {
         return;
       }
       case "clock": return void (this.clock += value);
-      default: assert.fail(`${word} is no step`);
+      default: assert.fail(`${word} is not a step`);
     }
   }
 }

@@ -48,7 +48,7 @@ async def main(address: str) -> int:
     both = [asyncio.ensure_future(send_all(connection, lines)), asyncio.ensure_future(hear_all(connection))]
     done, _ = await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
     if both[0] in done and both[0].exception() and both[1] not in done:
-        # What cannot be sent any more is no fault: the hub has closed, and what it said is still to be heard.
+        # What cannot be sent any more is not a fault: the hub has closed, and what it said is still to be heard.
         await asyncio.wait(both)
     await connection.close()
     both[0].cancel()

@@ -343,14 +343,14 @@ async def test_it_moves_by_nothing_that_came_while_its_program_stood_still(
 async def test_it_halts_at_its_end(robot: Robot) -> None:
     await robot.start()
     await robot.arm.leave()
-    assert robot.told[-1] == "halt: it is no device of its channel any more"
+    assert robot.told[-1] == "halt: it is not a device of its channel any more"
     held = robot.arm.may_move()
     assert held is not None and "no device" in held.text
     again = Recorder()
     arm = await robot.client.obey(ARM, again)
     await robot.client.close()
     await asyncio.wait_for(arm.ended(), PATIENCE)
-    assert again.told[-1] == "halt: it is no device of its channel any more"
+    assert again.told[-1] == "halt: it is not a device of its channel any more"
 
 
 async def test_a_move_that_takes_long_is_cancelled_before_the_machine_is_halted(robot: Robot) -> None:
@@ -403,7 +403,7 @@ async def test_a_machine_that_fails_stands_and_says_why(robot: Robot, caplog: py
     robot.say("unstop", number=7)
     with pytest.raises(ZeroDivisionError):
         await asyncio.wait_for(robot.arm.ended(), PATIENCE)
-    assert robot.told[-1] == "halt: it is no device of its channel any more" and robot.arm.may_move() is not None
+    assert robot.told[-1] == "halt: it is not a device of its channel any more" and robot.arm.may_move() is not None
     assert "obeys nothing any more" in caplog.text
 
 

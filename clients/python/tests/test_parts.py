@@ -62,7 +62,7 @@ def test_addresses(text: str, shown: str) -> None:
     ],
 )
 def test_what_is_no_address(text: str, why: str) -> None:
-    with pytest.raises(mom.AddressError, match="is no address of a hub") as caught:
+    with pytest.raises(mom.AddressError, match="is not an address of a hub") as caught:
         Address.parse(text)
     assert why in str(caught.value)
 

@@ -146,7 +146,7 @@ export const fleet = {
     bits: "LEDs that are on",
     range: (from: number, to: number) => `a whole number from ${from} to ${to}`,
     pairs: "pairs of x and y, such as: 1000 1000 2000 1000",
-    mistake: (part: string) => (part === "" ? "Write numbers and ranges such as 1,3-5, or all." : `“${part}” is no number of a robot: write numbers and ranges such as 1,3-5, or all.`),
+    mistake: (part: string) => (part === "" ? "Write numbers and ranges such as 1,3-5, or all." : `“${part}” is not a number of a robot: write numbers and ranges such as 1,3-5, or all.`),
     missing: (unit: number) => `There is no robot ${unit}.`,
     statement: "Statement",
     once: "Send once",

@@ -70,7 +70,7 @@ export const simulacrum = {
     takesNothing: "It can be activated and deactivated; all else it does by itself.",
   },
   mistakes: {
-    number: (word: string) => `“${word.length > 20 ? `${word.slice(0, 20)}…` : word}” is no number`,
+    number: (word: string) => `“${word.length > 20 ? `${word.slice(0, 20)}…` : word}” is not a number`,
     count: (count: number, given: number) => `${count === 1 ? "1 number is" : `${count} numbers are`} needed, and these are ${given}`,
     needsTime: "A speed needs a time.",
     time: (most: number) => `A whole number from 1 to ${most}.`,

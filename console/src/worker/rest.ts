@@ -10,7 +10,7 @@ export type Rest = "measured" | "not-measured" | "moving" | "unknown" | "unreach
 export type Said = { readonly [key: string]: unknown };
 
 export function restOf({ moving, reached, rest }: Said): Rest {
-  // What is no boolean does not say that it is reached, nor that it stands.
+  // What is not a boolean does not say that it is reached, nor that it stands.
   if (reached !== undefined && reached !== true) return "unreached";
   if (moving !== undefined && moving !== false) return "moving";
   if (rest === "measured" || rest === "not-measured") return rest;

@@ -72,7 +72,9 @@ impl Address {
                     return Err(format!("`{shown}` has `[` without `]`"));
                 };
                 let Ok(address) = host.parse::<Ipv6Addr>() else {
-                    return Err(format!("what is in the brackets of `{shown}` is no IPv6 address"));
+                    return Err(format!(
+                        "what is in the brackets of `{shown}` is not an IPv6 address"
+                    ));
                 };
                 (IpAddr::from(address).to_string(), rest.strip_prefix(':'))
             }
@@ -95,7 +97,7 @@ impl Address {
         let digits = port.bytes().all(|byte| byte.is_ascii_digit());
         match port.parse() {
             Ok(port) if digits && port > 0 => Ok(Address { host, port }),
-            _ => Err(format!("the port of `{shown}` is no number from 1 to 65535")),
+            _ => Err(format!("the port of `{shown}` is not a number from 1 to 65535")),
         }
     }
 }
@@ -132,7 +134,7 @@ pub struct Fleet {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FleetFault {
-    /// It is no TOML.
+    /// It is not TOML.
     Syntax,
     /// Nobody knows this key.
     UnknownKey,
@@ -144,13 +146,13 @@ pub enum FleetFault {
     Unit,
     /// Two robots have this unit number.
     UnitTwice,
-    /// An address is no `host:port`.
+    /// An address is not a `host:port`.
     Address,
     /// Two robots have this address.
     AddressTwice,
     /// A name is empty, too long, or has control characters.
     Name,
-    /// A group is no word of letters, digits, `-` and `_`, or is a number.
+    /// A group is not a word of letters, digits, `-` and `_`, or is a number.
     Group,
     /// There is no robot.
     Empty,
@@ -431,7 +433,7 @@ mod tests {
             (
                 robot(1, "[lab]:1"),
                 Address,
-                "line 3, column 11: what is in the brackets of `[lab]:1` is no IPv6 address",
+                "line 3, column 11: what is in the brackets of `[lab]:1` is not an IPv6 address",
             ),
             (
                 robot(1, "[::1]"),
@@ -446,17 +448,17 @@ mod tests {
             (
                 robot(1, "a:0"),
                 Address,
-                "line 3, column 11: the port of `a:0` is no number from 1 to 65535",
+                "line 3, column 11: the port of `a:0` is not a number from 1 to 65535",
             ),
             (
                 robot(1, "a:+1"),
                 Address,
-                "line 3, column 11: the port of `a:+1` is no number from 1 to 65535",
+                "line 3, column 11: the port of `a:+1` is not a number from 1 to 65535",
             ),
             (
                 robot(1, "a:70000"),
                 Address,
-                "line 3, column 11: the port of `a:70000` is no number from 1 to 65535",
+                "line 3, column 11: the port of `a:70000` is not a number from 1 to 65535",
             ),
             (
                 robot(1, "a:1") + "name = \"\"\n",

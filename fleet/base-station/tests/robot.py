@@ -8,7 +8,7 @@ It listens on a port of its own choice, which it prints, and then prints a line 
     closed
 
 On its standard input it takes: `cut` (close the connection), `mute` and `unmute` (do not reply), `say TEXT` (send it),
-`flood` (send what is no reply, without end), `chatter` (send replies to NULLs that nobody sent, without end).
+`flood` (send what is not a reply, without end), `chatter` (send replies to NULLs that nobody sent, without end).
 """
 
 import os

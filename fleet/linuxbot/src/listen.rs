@@ -116,7 +116,7 @@ pub async fn serve_observed(
                     }
                     admit(stream, from, &mut session, &options, &farewells, now(begin));
                 }
-                // What one connection has broken is no fault of the listener.
+                // What one connection has broken is not a fault of the listener.
                 Err(error) if is_passing(&error) => tracing::debug!(%error, "a connection was not taken"),
                 Err(error) => break Err(error),
             },

@@ -286,7 +286,7 @@ fn options(args: &LinuxbotArgs) -> anyhow::Result<Options> {
         Some(path) => {
             let shown = path.display();
             let text = std::fs::read_to_string(path).with_context(|| format!("{shown} cannot be read"))?;
-            file::table(&text).with_context(|| format!("{shown} is no table of commands"))?
+            file::table(&text).with_context(|| format!("{shown} is not a table of commands"))?
         }
     };
     Ok(Options { table, ..options })

@@ -25,7 +25,7 @@ The robot is the session /rover/NAME, with the channel robot and the token token
 drives it with motor, goto, via, leds and wait, as the robots of a gateway, and has it follow another one with `follow rover-a 500`: the peer's
 name and mm behind it, until another command comes. A robot with --pull is fed by `mom fleet feed`. The password is that of MOM_PASSWORD,
 unless --password-file names a file. A key (mom keygen) is taken from anywhere, a password over TLS (bins://, tcps://) or loopback. Where there
-is no hub yet it waits. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM halt the robot and end the program.";
+is not a hub yet it waits. The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM halt the robot and end the program.";
 
 /// A wheeled robot that is a peer of the hub itself; here a simulated one.
 #[derive(Debug, Parser)]
@@ -125,7 +125,7 @@ fn options(args: &RoverArgs) -> anyhow::Result<RoverOptions> {
         .flatten()
     {
         let read = Path::parse(path);
-        read.with_context(|| format!("{path:?} is no path of a context; one is such as /rover/a"))?;
+        read.with_context(|| format!("{path:?} is not a path of a context; one is such as /rover/a"))?;
     }
     Ok(RoverOptions {
         path,

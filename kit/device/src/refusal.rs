@@ -10,7 +10,7 @@ pub(crate) enum CommandRefusal {
     Device(DeviceError),
     /// The command was not sent by the token's present owner.
     Stale(Stale),
-    /// The state that the command was based on is outdated or unknown, or it is no answer in time.
+    /// The state that the command was based on is outdated or unknown, or it is not an answer in time.
     State(WireError),
 }
 

@@ -128,7 +128,7 @@ impl Rest {
     /// Takes in what is measured now; without a measurement its stopping time is waited for.
     pub fn observe(&mut self, sample: Option<Sample>, now: DeviceTime) {
         let since = *self.since.get_or_insert(now);
-        // What is no number is no measurement.
+        // What is not a number is not a measurement.
         let is_finite = |sample: &Sample| sample.values.iter().all(|value| value.is_finite());
         let Some(sample) = sample.filter(is_finite) else {
             self.first = None;

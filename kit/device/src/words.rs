@@ -78,7 +78,7 @@ impl<'a> Words<'a> {
     ///
     /// # Errors
     ///
-    /// `syntax` if there is none, or it is no finite number.
+    /// `syntax` if there is none, or it is not a finite number.
     pub fn number(&mut self, verb: &str, takes: &str, which: &str) -> Result<f64, DeviceError> {
         let word = self.need(verb, takes, which)?;
         // `parse` also takes `inf` and `nan`, and makes an infinity of what is too large.

@@ -61,7 +61,7 @@ struct Hit {
 }
 
 /// The picture of a robot at this pose: [`HEIGHT`] rows of [`WIDTH`] pixels, from the top left one on, a byte each of red, green and
-/// blue. A pose beside the floor is taken to be at its edge, and what is no number to be 0.
+/// blue. A pose beside the floor is taken to be at its edge, and what is not a number to be 0.
 ///
 /// ```
 /// use mom_wheels::{Floor, Pose, eye};

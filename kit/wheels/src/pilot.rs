@@ -100,7 +100,7 @@ pub enum GiveUp {
         /// The point.
         point: usize,
     },
-    /// A coordinate of the point is no number.
+    /// A coordinate of the point is not a number.
     #[error("point {point} is nowhere: its coordinates are not finite")]
     Nowhere {
         /// The point.

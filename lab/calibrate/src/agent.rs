@@ -372,7 +372,7 @@ mod tests {
             (Map::new().with("camera", "x").with("poses", 5), "6 to 500"),
             (Map::new().with("camera", "x").with("poses", "many"), "6 to 500"),
         ] {
-            let error = asked(content).expect_err("it is no task");
+            let error = asked(content).expect_err("it is not a task");
             assert!(
                 error.code == Code::BAD_CONTENT && error.text.contains(word),
                 "{error}"

@@ -34,8 +34,8 @@ pub enum CalibrationError {
         /// The most that is trusted.
         most: f64,
     },
-    /// What fits is no camera: it has the marker behind it, or sees a mirror's picture.
-    #[error("what fits the measurements is no camera: {0}")]
+    /// What fits is not a camera: it has the marker behind it, or sees a mirror's picture.
+    #[error("what fits the measurements is not a camera: {0}")]
     NoCamera(&'static str),
     /// No camera agrees with enough of the measurements.
     #[error("only {agree} of {found} measurements agree on a camera")]

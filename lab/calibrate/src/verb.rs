@@ -434,7 +434,7 @@ fn colour(text: &str) -> Result<[u8; 3], String> {
     let colour = [byte(0)?, byte(2)?, byte(4)?];
     match colour.iter().max().zip(colour.iter().min()) {
         Some((most, least)) if most - least >= 64 => Ok(colour),
-        _ => Err("grey is no colour for a marker".to_owned()),
+        _ => Err("grey is not a colour for a marker".to_owned()),
     }
 }
 

@@ -146,7 +146,7 @@ fn is_relative(script: &str) -> bool {
 pub(crate) fn too_fast(script: &str) -> Option<Answer> {
     let fast = |statement: &str| {
         let mut words = statement.split_whitespace();
-        // What is no number the arm refuses.
+        // What is not a number the arm refuses.
         let numbers = |words: std::str::SplitWhitespace<'_>| -> Vec<f64> {
             words.take(5).filter_map(|word| word.parse().ok()).collect()
         };

@@ -29,9 +29,9 @@ const WAITING: usize = 16;
 /// So long the last answers may take to be read.
 const FLUSH: Duration = Duration::from_secs(1);
 
-/// JSON-RPC: it is no JSON.
+/// JSON-RPC: it is not JSON.
 const NOT_JSON: i64 = -32700;
-/// JSON-RPC: it is no request.
+/// JSON-RPC: it is not a request.
 const NO_REQUEST: i64 = -32600;
 /// Of this server: too much at once.
 const BUSY: i64 = -32000;
@@ -185,7 +185,7 @@ fn parse(line: &[u8]) -> Result<RxJsonRpcMessage<RoleServer>, Option<(Json, i64,
     };
     let json: Json = match serde_json::from_slice(line) {
         Ok(json) => json,
-        Err(error) => return Err(Some((Json::Null, NOT_JSON, format!("this is no JSON: {error}")))),
+        Err(error) => return Err(Some((Json::Null, NOT_JSON, format!("this is not JSON: {error}")))),
     };
     let id = json.get("id").filter(|id| id.is_string() || id.is_i64());
     match id {
@@ -194,7 +194,7 @@ fn parse(line: &[u8]) -> Result<RxJsonRpcMessage<RoleServer>, Option<(Json, i64,
         id => Err(Some((
             id.cloned().unwrap_or_default(),
             NO_REQUEST,
-            format!("this is no request of MCP: {error}"),
+            format!("this is not a request of MCP: {error}"),
         ))),
     }
 }

@@ -56,7 +56,7 @@ impl Default for Memory {
 }
 
 impl Memory {
-    /// Takes what an image shows. `carried` is no block on the table; while the hand is `among` the blocks, what is known is kept.
+    /// Takes what an image shows. `carried` is not a block on the table; while the hand is `among` the blocks, what is known is kept.
     pub fn see(&mut self, seen: &Seen, projection: &Projection, carried: Option<usize>, among: bool) {
         for (index, sighting) in seen.blocks.iter().enumerate() {
             let (Some(sighting), Some(kept)) = (sighting, self.blocks.get_mut(index)) else {

@@ -73,7 +73,7 @@ impl FromStr for Side {
 
     fn from_str(name: &str) -> Result<Side, String> {
         let found = Side::ALL.into_iter().find(|side| side.name() == name);
-        found.ok_or_else(|| format!("{name:?} is no side: right, left, front or back"))
+        found.ok_or_else(|| format!("{name:?} is not a side: right, left, front or back"))
     }
 }
 
@@ -134,13 +134,13 @@ impl Task {
         };
         let side = match content.get("side") {
             None => Side::default(),
-            Some(side) => side.as_str().ok_or("side is no word")?.parse()?,
+            Some(side) => side.as_str().ok_or("side is not a word")?.parse()?,
         };
         let gap = match content.get("gap") {
             None => 20.0,
             Some(Value::Double(gap)) => *gap,
             Some(Value::Int(gap)) => *gap as f64,
-            Some(_) => return Err("gap is no number of mm".to_owned()),
+            Some(_) => return Err("gap is not a number of mm".to_owned()),
         };
         Task::new(text("first")?, text("second")?, side, gap)
     }
@@ -226,8 +226,8 @@ mod tests {
         let task = Task::read(&short.into()).unwrap();
         assert_eq!((task.side, task.gap), (Side::Right, 20.0));
         for (key, value, words) in [
-            ("side", "above", "\"above\" is no side"),
-            ("gap", "wide", "gap is no number of mm"),
+            ("side", "above", "\"above\" is not a side"),
+            ("gap", "wide", "gap is not a number of mm"),
             ("first", "", "no block is called"),
         ] {
             let map = Map::new()

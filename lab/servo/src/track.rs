@@ -143,7 +143,7 @@ impl Track {
         }
         let turns = self.corrections();
         let (camera, turn) = turns.iter().enumerate().max_by(|(_, a), (_, b)| a.total_cmp(b))?;
-        // No number is no estimate, either.
+        // No number is not an estimate, either.
         let sane = *turn <= MOST_TURN && self.base.iter().all(|part| part.is_finite());
         (!sane).then(|| {
             format!(

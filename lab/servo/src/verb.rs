@@ -435,7 +435,7 @@ mod tests {
             (Side::Right, 20.0, Duration::from_secs(120), 120)
         );
         for (option, value, words) in [
-            ("--side", "above", "is no side: right, left, front or back"),
+            ("--side", "above", "is not a side: right, left, front or back"),
             ("--for", "2d", "it is a time up to 1h"),
             ("--for", "0s", "it is a time up to 1h"),
             ("--commands", "0", "0 is not in 1..=10000"),

@@ -103,7 +103,7 @@ const GREY: f64 = 30.0;
 const THICK: usize = 2;
 /// How far around its thick parts a block goes on, pixels: a little further than its corners were cut.
 const REGAINED: usize = THICK + 1;
-/// A piece with less than this part of the largest is no part of the block.
+/// A piece with less than this part of the largest is not a part of the block.
 const PIECE: f64 = 0.2;
 
 /// Finds each of these colours, in their order; `None` for what is not seen.
@@ -284,7 +284,7 @@ impl Labels<'_> {
             pixels.iter().map(|&pixel| of(self.middle_of(pixel))).sum::<f64>() / area
         };
         let middle @ [x, y] = [mean(&|[x, _]| x), mean(&|[_, y]| y)];
-        // A pixel is no point but a square, which adds its own variance.
+        // A pixel is not a point but a square, which adds its own variance.
         let square = 1.0 / 12.0;
         let moments = [
             mean(&|[u, _]| (u - x).powi(2)) + square,

@@ -227,7 +227,7 @@ impl Moments {
 
     fn spot(&self) -> Result<Spot, MarkerError> {
         let middle @ [x, y] = self.sum.map(|sum| sum / self.weight);
-        // A pixel is no point but a square, which adds its own variance.
+        // A pixel is not a point but a square, which adds its own variance.
         let square = 1.0 / 12.0;
         let variance = |index: usize, product: f64| self.squares[index] / self.weight - product;
         let (xx, yy, xy) = (

@@ -71,7 +71,7 @@ const UNEXPLAINED: f64 = 0.04;
 const NEAR: f64 = 1.0;
 /// Beyond this, pixels, a point does not count.
 const FAR: f64 = 3.0;
-/// A larger root of the mean square distance is no block, pixels.
+/// A larger root of the mean square distance is not a block, pixels.
 const RMS: f64 = 0.8;
 /// The same for a block that lies where it lay: 1 mm is about half a pixel.
 const STILL: f64 = 0.6;
@@ -130,7 +130,7 @@ pub fn agrees(size: f64, place: [f64; 3], yaw: f64, view: &View<'_>) -> bool {
     let distances = alone.distances(&expected);
     let near: Vec<f64> = distances.iter().copied().filter(|d| d.abs() < FAR).collect();
     let square = near.iter().map(|d| d * d).sum::<f64>() / near.len().max(1) as f64;
-    // What looks like another place, seen as well as this one, is no glance but a measurement.
+    // What looks like another place, seen as well as this one, is not a glance but a measurement.
     near.len() >= LEAST_POINTS && near.len() as f64 >= AGREE * distances.len() as f64 && square.sqrt() < STILL
 }
 

@@ -56,7 +56,7 @@ fn level_or_lease_is_m29() {
             ("then also for a lower level", held(5, 1, LEASE), "displace"),
             ("asking for one's own", own(0), "allow"),
             ("also after the lease", own(LEASE), "allow"),
-            ("holding with others is no grab", inhibit(held(1, 2, 0)), held_until_then),
+            ("holding with others is not a grab", inhibit(held(1, 2, 0)), held_until_then),
             ("also after the lease", inhibit(held(1, 2, LEASE)), held_until_then),
             ("but of what is free", inhibit(GRAB), "allow"),
             ("or of one's own", inhibit(own(0)), "allow"),
@@ -79,7 +79,7 @@ fn first_come_knows_no_level() {
             ("the lease's end is late", held(1, 1, LEASE), "allow"),
             ("asking for one's own", own(0), "allow"),
             (
-                "holding with others is no grab",
+                "holding with others is not a grab",
                 inhibit(held(1, 9, 0)),
                 held_until_then,
             ),
@@ -106,7 +106,7 @@ fn an_equal_level_takes_it_where_the_file_says_so() {
             ("a higher one too", held(1, 2, 0), "displace"),
             ("a lower one waits", held(2, 1, 0), held_until_then),
             (
-                "holding with others is no grab",
+                "holding with others is not a grab",
                 inhibit(held(1, 1, 0)),
                 held_until_then,
             ),

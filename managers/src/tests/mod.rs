@@ -193,7 +193,7 @@ fn what_is_added_to_a_verdict_fits_its_answer() {
     let waits = denied().earliest(Some(1)).or_wait(Some(2));
     assert_eq!(short(&waits), "queue: rule: held at 1 expected 2");
     assert_eq!(waits.standing, Standing::Once, "a place in line is for this once");
-    // What is no part of an answer changes nothing.
+    // What is not a part of an answer changes nothing.
     assert_eq!(denied().until(Some(1)), denied());
     assert_eq!(Verdict::allow().earliest(Some(1)), Verdict::allow());
     assert_eq!(Verdict::allow().or_wait(Some(1)), Verdict::allow());

@@ -51,12 +51,12 @@ fn chairs_are_asked_about_what_they_moderate() {
             ("a grab", GRAB, "ask by moderated"),
             ("taking what is given", verb(Verb::Accept), "ask by moderated"),
             ("holding with others", verb(Verb::Inhibit), "ask by moderated"),
-            ("a renewal is no new control", verb(Verb::Renew), "allow"),
+            ("a renewal is not a new control", verb(Verb::Renew), "allow"),
             ("messages are free by default", SEND, "allow"),
             ("a chair by name", CHAIR, "allow"),
             ("a chair by group", Ask { user: "erik", groups: &["staff"], ..CHAIR }, "allow"),
             ("of too low a level", Ask { level: 1, ..CHAIR }, "ask by moderated"),
-            ("a level alone is no chair", Ask { user: "erik", ..CHAIR }, "ask by moderated"),
+            ("a level alone is not a chair", Ask { user: "erik", ..CHAIR }, "ask by moderated"),
             ("giving up", verb(Verb::Release), "allow"),
             ("what is held is not asked about", HELD, "queue: moderated: held at 7 expected 7"),
             ("nor to be held with others", Ask { verb: Verb::Inhibit, ..HELD }, "moderated: held at 7"),
@@ -205,7 +205,7 @@ fn a_stop_waits_for_no_chair_unless_it_is_listed() {
     assert_eq!(
         short(&ask(&mut *manager, &release)),
         "allow",
-        "giving up is no chair's business"
+        "giving up is not a chair's business"
     );
     let mut manager = build(moderated().with("verbs", words(&["*"])));
     for verb in Verb::ALL {

@@ -32,7 +32,7 @@ fn whoever_comes_later_waits() {
             ("a lease that is over", Ask { now: 100_000_000, ..HELD }, "allow"),
             ("a lease without end", endless, "queue: queue: held"),
             (
-                "to hold with others is no grab",
+                "to hold with others is not a grab",
                 Ask { verb: Verb::Inhibit, ..HELD },
                 "queue: held at 100000000",
             ),

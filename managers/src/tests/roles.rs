@@ -61,7 +61,7 @@ const TABLE: [(&str, Ask<'_>, &str); 20] = [
     ("nor elsewhere", Ask { path: "/camera/token", ..GRAB }, "roles: denied"),
     ("nor below the level", Ask { level: 0, ..GRAB }, "roles: denied"),
     ("nor by another verb", Ask { verb: Verb::Delete, ..GRAB }, "roles: denied"),
-    ("stop is no send", Ask { verb: Verb::Stop, ..send("stop") }, "roles: denied"),
+    ("stop is not a send", Ask { verb: Verb::Stop, ..send("stop") }, "roles: denied"),
     ("people send", send("command"), "allow"),
     ("but no states", send("state"), "roles/states are the arm's: denied"),
     ("which the arm does", DEVICE, "allow"),

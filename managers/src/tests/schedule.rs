@@ -80,7 +80,7 @@ fn slots_of_the_day_come_again_and_may_pass_midnight() {
             ("on into monday", bob("2026-11-23T01:00:00Z"), &denied(1)),
             ("it ends at two", bob("2026-11-23T02:00:00Z"), &until(20)),
             ("monday night", bob("2026-11-23T22:00:00Z"), &denied(4)),
-            ("on into tuesday, which is no day of it", bob("2026-11-24T01:00:00Z"), &denied(1)),
+            ("on into tuesday, which is not a day of it", bob("2026-11-24T01:00:00Z"), &denied(1)),
             ("tuesday night is free, up to sunday", bob("2026-11-24T22:00:00Z"), &until(5 * 24)),
             ("its user", at("2026-11-24T01:00:00Z"), &until(1)),
             ("long ago, before the epoch", bob("1969-12-28T23:00:00Z"), &denied(3)),

@@ -28,7 +28,7 @@ impl<F: Fn(&str) -> Result<SourceText, ConfigError>> Reading<F> {
         reading
     }
 
-    /// Tells what is no TOML. A header that cannot be read leaves open where the keys below it belong.
+    /// Tells what is not TOML. A header that cannot be read leaves open where the keys below it belong.
     pub(super) fn open(&mut self, mut source: SourceText) -> SourceText {
         let faults = source.syntax();
         let header = |error: &ConfigError| error.key.as_ref().is_some_and(|key| key.starts_with('['));

@@ -39,7 +39,7 @@ impl Config {
     /// Opens a recording, to decide it again by this configuration.
     ///
     /// # Errors
-    /// A file that is no recording, or a configuration that is wrong.
+    /// A file that is not a recording, or a configuration that is wrong.
     pub fn replay(&self, log: &Path) -> Result<Replay, RecordError> {
         let users = self.users.iter().map(|user| user.to_user()).collect();
         Replay::open(log, self.limits.clone(), users, |settings| {

@@ -175,7 +175,8 @@ impl FromStr for Network {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Network, String> {
-        let wrong = || format!("{text:?} is no address or network, such as 10.0.0.7, 10.0.0.0/8 or fd00::/8");
+        let wrong =
+            || format!("{text:?} is not an IP address or network, such as 10.0.0.7, 10.0.0.0/8 or fd00::/8");
         let (address, prefix) = match text.split_once('/') {
             Some((address, prefix)) => (address, Some(prefix)),
             None => (text, None),
@@ -241,6 +242,6 @@ pub fn check_address(address: &str) -> Result<(), String> {
     };
     match right {
         true => Ok(()),
-        false => Err(format!("{host:?} is no address of this machine; {example}")),
+        false => Err(format!("{host:?} is not an address of this machine; {example}")),
     }
 }

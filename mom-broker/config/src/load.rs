@@ -254,7 +254,7 @@ fn check(file: &ConfigDocument, source: &SourceText) -> Vec<ConfigError> {
     let mut wrong = |keys: &[&str], text: String| found.push(source.error(keys, text));
     if let Err(error) = EnvFilter::try_new(&file.log) {
         let text = format!(
-            "{:?} is no filter, such as info or mom_broker=debug: {error}",
+            "{:?} is not a filter, such as info or mom_broker=debug: {error}",
             file.log
         );
         wrong(&["log"], text);
@@ -291,7 +291,7 @@ fn check(file: &ConfigDocument, source: &SourceText) -> Vec<ConfigError> {
         }
     }
     if file.limits.gone <= file.limits.heartbeat {
-        let text = "gone has to be longer than heartbeat, or every quiet peer is lost";
+        let text = "`gone` must exceed `heartbeat`, or idle peers are dropped";
         let named = ["gone", "heartbeat"]
             .into_iter()
             .find(|key| source.has(&["limits", key]));

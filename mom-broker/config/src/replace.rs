@@ -4,7 +4,7 @@ use super::source::SourceText;
 use super::{Config, ConfigError};
 
 impl Config {
-    /// Checks that a configuration that was read again is no accident: an empty file would close the broker, or take all
+    /// Checks that a configuration that was read again is not an accident: an empty file would close the broker, or take all
     /// its users from it, and a file that was cut off would do a part of that.
     ///
     /// # Errors

@@ -30,7 +30,7 @@ impl SourceText {
         }
     }
 
-    /// What is no TOML: the first of each line, in the parser's words.
+    /// What is not TOML: the first of each line, in the parser's words.
     pub(super) fn syntax(&self) -> Vec<ConfigError> {
         let mut told: Vec<ConfigError> = Vec::new();
         for error in DeTable::parse_recoverable(&self.text).1 {

@@ -127,7 +127,7 @@ pub(super) fn read_link(parcel: &Parcel, longest: usize) -> Result<String, WireE
     let link = link.ok_or_else(|| wrong("link", "it is missing"))?;
     match link.len() <= longest {
         true => Ok(link),
-        false => Err(wrong("link", "that is no id of a link")),
+        false => Err(wrong("link", "that is not an id of a link")),
     }
 }
 

@@ -107,13 +107,13 @@ pub(crate) fn parse_key(text: &str) -> Result<VerifyingKey, String> {
         _ => return Err(WANTED.to_owned()),
     }
     let bytes = words.next().and_then(|word| STANDARD.decode(word).ok());
-    let bytes = bytes.ok_or_else(|| format!("that is no base64; {WANTED}"))?;
+    let bytes = bytes.ok_or_else(|| format!("that is not base64; {WANTED}"))?;
     let bytes = <[u8; 32]>::try_from(bytes)
         .map_err(|bytes| format!("this has {} bytes, a public key has 32; {WANTED}", bytes.len()))?;
     VerifyingKey::from_bytes(&bytes)
         .ok()
         .filter(|key| !key.is_weak())
-        .ok_or_else(|| format!("that is no public key; {WANTED}"))
+        .ok_or_else(|| format!("that is not a public key; {WANTED}"))
 }
 
 #[cfg(test)]

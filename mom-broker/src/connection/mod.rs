@@ -264,7 +264,7 @@ impl Connection {
     async fn handle_arrived(&mut self, reader: &mut Reader) -> Result<(), End> {
         let mut touched = Touched::new();
         let mut handled = 0;
-        // One that is no mere sign of life was.
+        // One that is not a mere sign of life was.
         let mut whole = false;
         let result = loop {
             let goes_on = !self.outbox.is_closed() && !self.is_proof_over();

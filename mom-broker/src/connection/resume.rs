@@ -50,7 +50,7 @@ impl Connection {
         let Some(link) = proven else {
             self.audit_resume(link.as_deref());
             return Err(not_resumed(
-                "there is no such link, or this is no proof of its secret",
+                "there is no such link, or this is not proof of its secret",
             ));
         };
         // An answer that was under way for long: its peer goes on elsewhere by now.

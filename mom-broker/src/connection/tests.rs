@@ -228,7 +228,7 @@ async fn logins_that_wait_hold_nobody_up() {
     assert_eq!((stats.hashed, stats.hashing), (1 + waiting as u64, 0));
 }
 
-/// A refusal costs the hub as much as a small request, so whoever goes on asking is read no faster; what is no request
+/// A refusal costs the hub as much as a small request, so whoever goes on asking is read no faster; what is not a request
 /// passes as soon as it is read, and others do not wait.
 #[tokio::test]
 async fn who_asks_on_is_read_slowly() {
@@ -363,7 +363,7 @@ async fn a_new_users_file_holds_for_everybody() {
     };
     assert_eq!((&*bob.name, bob.level), ("bob", 3));
     assert!(!logins.knows("alice"));
-    let error = admit(&logins, 5, late).expect_err("alice is no user any more");
+    let error = admit(&logins, 5, late).expect_err("alice is not a user any more");
     assert_eq!(error.code, Code::BAD_LOGIN);
     assert_eq!(admit(&logins, 6, promoted).expect("bob").level, 3);
     let error = admit(&logins, 7, named).expect_err("dave is somebody now");

@@ -54,7 +54,7 @@ fn read_line() -> std::io::Result<String> {
 
 /// The users file with a new password of the user, who is in these groups too; comments and order stay.
 fn set_password(text: &str, user: &str, hash: &str, groups: &[String]) -> Result<(String, &'static str)> {
-    let mut document: toml_edit::DocumentMut = text.parse().context("this is no TOML")?;
+    let mut document: toml_edit::DocumentMut = text.parse().context("this is not TOML")?;
     let users = document
         .entry("users")
         .or_insert(toml_edit::ArrayOfTables::new().into());

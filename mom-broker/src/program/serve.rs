@@ -242,7 +242,7 @@ impl ServeArgs {
 
 /// Starts the log, and whatever else takes what is traced.
 fn log(filter: &str, json: bool, lines: &LogWriter, others: Option<OtherLayer>) -> Result<LogFilter> {
-    let filter = EnvFilter::try_new(filter).with_context(|| format!("log: {filter:?} is no filter"))?;
+    let filter = EnvFilter::try_new(filter).with_context(|| format!("log: {filter:?} is not a filter"))?;
     let lines = lines.clone();
     let shown = tracing_subscriber::fmt::layer()
         .with_ansi(std::io::stderr().is_terminal())

@@ -57,7 +57,7 @@ enum OtherForm {
     #[default]
     None,
     Written(Box<Encoded>),
-    /// Its content is no value, or too large in this form.
+    /// Its content is not a value, or too large in this form.
     Bad,
     Later(Arc<LaterFrame>),
 }
@@ -82,7 +82,7 @@ pub(crate) enum Unready {
 }
 
 impl Bounds {
-    /// A parcel in a form that it has to be opened for; none if it is no value, or too large in this form.
+    /// A parcel in a form that it has to be opened for; none if it is not a value, or too large in this form.
     pub(crate) fn write(&self, form: Form, parcel: &Parcel) -> Option<Encoded> {
         let written = form.encode_within(parcel, self.depth, self.parcel).ok()?;
         // The text forms have kept to the limit. Here it is of what follows the length.

@@ -116,7 +116,7 @@ impl History {
         self.next += 1;
     }
 
-    /// Lets go of the newest values of a peer that has left: nobody's state is no state. A history stays.
+    /// Lets go of the newest values of a peer that has left: nobody's state is not a state. A history stays.
     pub(crate) fn leave(&mut self, peer: PeerId) {
         if !self.keep.latest {
             return;

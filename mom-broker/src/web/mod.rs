@@ -80,7 +80,7 @@ pub(crate) struct Visit {
     pub(crate) local: SocketAddr,
     pub(crate) takes: Takes,
     pub(crate) seated: Seated,
-    /// When it is no stranger any more, or goes.
+    /// When it is not a stranger any more, or goes.
     pub(crate) login_by: Instant,
 }
 
@@ -352,7 +352,7 @@ impl HttpConnection {
         forwarded::remote(self.remote, headers, &self.web.rules().forwarded_by)
     }
 
-    /// Counts the connection as one of a user: what brings a user's requests is no stranger's.
+    /// Counts the connection as one of a user: what brings a user's requests is not a stranger's.
     fn count_as(&self, user: &str) -> Result<(), WireError> {
         let mut seat = self.seat.lock();
         seat.as_mut().map_or(Ok(()), |seat| seat.log_in(user))

@@ -27,7 +27,7 @@ const NAME: &str = "log";
 const MOST: usize = 4096;
 const BODY: Duration = Duration::from_secs(10);
 
-/// The letters of what is no text.
+/// The letters of what is not text.
 const WORD: usize = 64;
 
 const MINUTE: Micros = 60_000_000;

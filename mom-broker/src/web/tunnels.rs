@@ -114,7 +114,7 @@ impl HttpConnection {
             .await
     }
 
-    /// A connection that brings what a user says is no stranger's.
+    /// A connection that brings what a user says is not a stranger's.
     fn count_as_user_of(&self, tunnel: &Tunnel) -> Result<(), mom_proto::WireError> {
         let Some(peer) = tunnel.peer().filter(|_| tunnel.is_trusted()) else {
             return Ok(());

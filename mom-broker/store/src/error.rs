@@ -67,7 +67,7 @@ pub enum StoreError {
          STATE_DIRECTORY"
     )]
     NoState,
-    /// The epoch is no number.
+    /// The epoch is not a number.
     #[error(
         "[store] state, {}: this is not the number that was written there; the broker does not start, so that no fence \
          falls. To go on without it: halt what the tokens guard, see that this machine's clock is right, move the \

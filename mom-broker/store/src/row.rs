@@ -65,7 +65,7 @@ pub(super) fn encode(sequence: u64, record: &Record) -> Vec<u8> {
 
 /// The sequence and the record of a row.
 pub(super) fn decode(key: &str, row: &[u8]) -> Result<(u64, Record), String> {
-    let path = Path::parse(key).map_err(|error| format!("the key {key:?} is no path: {error}"))?;
+    let path = Path::parse(key).map_err(|error| format!("the key {key:?} is not a path: {error}"))?;
     let mut body = opened(key, row)?;
     let read = || -> Result<(u64, Record), String> {
         let sequence = body.try_get_u64().map_err(|error| cut(&error))?;

@@ -64,7 +64,7 @@ impl StopFile {
     /// Opens the file of a configuration in a directory; `name` tells the configurations apart that share it. Blocks.
     ///
     /// # Errors
-    /// A directory that cannot be used. A file that cannot be read is no error: then all is stopped.
+    /// A directory that cannot be used. A file that cannot be read is not an error: then all is stopped.
     pub fn open(directory: &FilePath, name: &str) -> Result<KeptStops, StoreError> {
         let failed = |error| StoreError::State {
             path: directory.to_owned(),

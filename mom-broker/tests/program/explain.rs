@@ -100,7 +100,7 @@ fn check_warns_of_what_looks_like_a_mistake() {
     fs::write(&file, CONTEXT.to_owned() + "[managers.spare]\nkind = \"open\"\n").expect("written");
     let warned = run(program().arg("check").arg(&file));
     let said = text(&warned.stdout);
-    assert!(warned.status.success(), "a warning is no error: {warned:?}");
+    assert!(warned.status.success(), "a warning is not an error: {warned:?}");
     let warning = format!(
         "warning: {}:5: managers.spare: nothing in this file uses it",
         file.display()

@@ -51,7 +51,7 @@ fn a_wrong_file_does_not_start() {
         (Some("listen = [\"127.0.0.1:x\"]\n"), ":1: listen[0]: a port is "),
         (
             Some("listen = [\"256.0.0.1:7666\"]\n"),
-            "\"256.0.0.1\" is no address of this machine",
+            "\"256.0.0.1\" is not an address of this machine",
         ),
         (None, "cannot be read"),
     ] {

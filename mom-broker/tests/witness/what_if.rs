@@ -337,7 +337,7 @@ async fn what_is_damaged_is_told() {
         (cut, 0, "its last line is damaged"),
         (early.as_str(), 0, "ends early: it has reached its size"),
         (middle.as_str(), 1, "control.jsonl:2: this line is damaged"),
-        ("hello\n", 1, "control.jsonl:1: this is no recording"),
+        ("hello\n", 1, "control.jsonl:1: this is not a recording"),
     ] {
         lab.write("control.jsonl", recording);
         let said = what_if(&lab, "lab.toml", &[]);

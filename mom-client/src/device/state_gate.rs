@@ -69,7 +69,7 @@ impl StateGate {
     /// Whether the state of a command still holds.
     ///
     /// # Errors
-    /// `stale-state` with the id of the newest state as detail `state`; `bad-slot` for a slot that is no id.
+    /// `stale-state` with the id of the newest state as detail `state`; `bad-slot` for a slot that is not an id.
     pub fn check(&self, command: &Parcel) -> Result<(), WireError> {
         let Some(given) = command.extra.get(BASED_ON) else {
             return Ok(());

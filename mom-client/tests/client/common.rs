@@ -91,7 +91,7 @@ impl Peer {
         }
     }
 
-    /// The next parcel that is no ping; pings are answered.
+    /// The next parcel that is not a ping; pings are answered.
     pub(crate) async fn hear(&mut self) -> Parcel {
         loop {
             let parcel = self.hear_any().await.expect("the client hung up");

@@ -49,7 +49,7 @@ impl World {
     ) {
         let context = self.tree.get_mut(number);
         let Some(member) = context.and_then(|context| context.members.get_mut(&peer)) else {
-            return self.fault("a peer is to be spared of something where it is no member");
+            return self.fault("a peer is to be spared of something where it is not a member");
         };
         if member.thinning != thinning || member.device != device {
             *member = Arc::new(member.on_terms(thinning, device));

@@ -75,7 +75,7 @@ pub fn admit(
     ingress: &Ingress,
 ) -> Result<Admission, WireError> {
     let now = ingress.now;
-    // The hub knows whether a peer that is no member may know of the channel.
+    // The hub knows whether a peer that is not a member may know of the channel.
     let Some(member) = route.member(peer) else {
         return Ok(Admission::Consult);
     };

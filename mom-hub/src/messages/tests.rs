@@ -161,7 +161,7 @@ fn what_a_device_says_goes_to_the_hub_while_it_is_awaited() {
     assert_eq!(
         state(&route),
         Ok(Admission::Pass(Receivers::All, None)),
-        "it is no device"
+        "it is not a device"
     );
     let device = route.members[1].on_terms(mom_proto::Thinning::default(), true);
     route.members[1] = Arc::new(device);

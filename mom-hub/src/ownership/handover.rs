@@ -47,7 +47,7 @@ impl World {
         };
         let path = context.path.clone();
         let Some(token) = context.token_mut() else {
-            return self.fault("a context is offered that is no token");
+            return self.fault("a context is offered that is not a token");
         };
         token.note_asked((Verb::Give, owner, to), now);
         content.set("fence", token.fence);
@@ -119,7 +119,7 @@ impl World {
         };
         let path = context.path.clone();
         let Some(token) = context.token_mut() else {
-            return self.fault("a context is asked for that is no token");
+            return self.fault("a context is asked for that is not a token");
         };
         token.asking.push(asking);
         token.note_asked((Verb::Request, peer, owner), now);

@@ -106,7 +106,7 @@ impl World {
 
     /// Grants a free token to the first waiter that the manager allows to have it.
     pub(crate) fn advance_queue(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
-        // Nothing waits for what is no token, or none any more.
+        // Nothing waits for what is not a token, or none any more.
         if self.token(number).is_none_or(|token| token.queue.is_empty()) {
             return;
         }
@@ -221,7 +221,7 @@ impl World {
         };
         let path = context.path.clone();
         let Some(token) = context.token_mut() else {
-            return self.fault("a queue is told of a context that is no token");
+            return self.fault("a queue is told of a context that is not a token");
         };
         let (places, turn) = (token.take_place_news(now), token.take_turn_news(now));
         for news in places {

@@ -25,7 +25,7 @@ pub(crate) struct DeviceWord {
 }
 
 impl DeviceWord {
-    /// From the content of a join: `true`, or `{stop, stopped}`; none = it is no device.
+    /// From the content of a join: `true`, or `{stop, stopped}`; none = it is not a device.
     ///
     /// # Errors
     /// `bad-content`.
@@ -274,7 +274,7 @@ impl World {
         let number = match map.get(STOP) {
             // A device of protocol 1.1 names no number, and says nothing of its rest: what it says now is what it does.
             None if standing.reached.is_none() && standing.rest.is_none() => None,
-            // A number that was never given out is no word.
+            // A number that was never given out is not a word.
             Some(Value::Int(number)) => {
                 let number = Fence::from(u64::try_from(*number).unwrap_or_default());
                 Some(number)
@@ -301,7 +301,7 @@ impl World {
     }
 }
 
-/// What the content of a device's `state` says of its rest. What is no boolean does not say that it stands, nor that it is reached.
+/// What the content of a device's `state` says of its rest. What is not a boolean does not say that it stands, nor that it is reached.
 fn standing_of(state: &Map) -> Standing {
     let flag = |key: &str, otherwise: bool| state.get(key).map(|said| said.as_bool().unwrap_or(otherwise));
     let rest = state.get("rest").and_then(Value::as_str);

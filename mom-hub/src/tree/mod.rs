@@ -198,7 +198,7 @@ impl Tree {
     /// Looks only at children of the nearest context above, and at the first of them: a typo must not cost a walk over
     /// the tree.
     pub(crate) fn nearest_path(&self, path: &Path) -> Option<Path> {
-        // What is there but is not to be told of is no suggestion for itself.
+        // What is there but is not to be told of is not a suggestion for itself.
         let above = self.find_or_above(&path.parent()?)?;
         let mut missing = path.segments().skip(above.path.segments().count());
         let mistyped = missing.next()?;

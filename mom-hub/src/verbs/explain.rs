@@ -75,8 +75,9 @@ fn verb(word: &str) -> Result<Verb, WireError> {
     let found = Verb::from_word(word).filter(asked);
     found.ok_or_else(|| {
         let words = Verb::ALL.into_iter().filter(asked).map(Verb::word);
-        let text =
-            format!("no manager is asked about {word:?}, which is no verb of contexts, tokens or messages");
+        let text = format!(
+            "no manager is asked about {word:?}, which is not a verb of contexts, tokens or messages"
+        );
         content::bad("verb", text).nearest_opt(nearest(word, words))
     })
 }

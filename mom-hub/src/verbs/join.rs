@@ -174,7 +174,7 @@ fn terms(world: &World, request: &Request, number: ContextNumber) -> Result<Opti
     }
     if (thinning.thins() || device.is_some()) && !is_channel {
         let text = format!(
-            "{} is no channel: only messages are thinned, and devices stop",
+            "{} is not a channel: only messages are thinned, and devices stop",
             request.path
         );
         return Err(WireError::new(Code::WRONG_KIND, text).slot("content"));

@@ -231,7 +231,7 @@ impl World {
         };
         let context = self.tree.get_mut(number);
         let member = context.and_then(|context| context.members.get_mut(&peer));
-        // The manager may allow a message whose sender is no member, which is refused next; a sender of very many names
+        // The manager may allow a message whose sender is not a member, which is refused next; a sender of very many names
         // is asked about each time.
         if let Some(member) = member
             && let Some(kept) = member.with(standing)

@@ -9,7 +9,7 @@ use crate::tree::context::GuardSpec;
 use crate::{Effect, Guard, GuardOwner, Route};
 
 impl World {
-    /// The route of a channel; none if that is no channel.
+    /// The route of a channel; none if that is not a channel.
     pub(crate) fn route(&self, number: ContextNumber) -> Option<Route> {
         let context = self.tree.get(number)?;
         let channel = context.channel()?;

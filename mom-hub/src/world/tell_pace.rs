@@ -13,7 +13,7 @@ use crate::tree::peers::Peer;
 /// The most times at once.
 const AT_ONCE: u64 = 100;
 
-/// The fewest times at once that a slow device leaves: who takes it, gives it up and takes it again is no attacker.
+/// The fewest times at once that a slow device leaves: who takes it, gives it up and takes it again is not an attacker.
 const LEAST_AT_ONCE: u64 = 4;
 
 /// Entries from which on it is looked for those that are paid back.

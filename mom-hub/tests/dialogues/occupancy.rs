@@ -39,7 +39,7 @@ fn a_device_takes_the_place_of_its_own_earlier_start_and_of_no_other() {
         ("arm~2", word("one", 9), false),
         ("arm~2", word("two", 20), false),
         ("arm~2", true.into(), false),
-        // A name that another user's program has, too, is no proof.
+        // A name that another user's program has, too, is not proof.
         ("other", word("one", 20), false),
         ("other", true.into(), false),
     ];
@@ -89,7 +89,7 @@ fn who_joins_again_as_a_device_has_its_own_place() {
         let heard = stage.say_with("arm", JOIN, "device", word("one", 10));
         assert_eq!(of(&heard, &["arm"]), ["arm< ok"]);
     }
-    // Who is no device any more is in nobody's way.
+    // Who is not a device any more is in nobody's way.
     stage.say_with("arm", JOIN, "device", false.into());
     let heard = stage.say_with("other", JOIN, "device", true.into());
     assert_eq!(of(&heard, &["other"]), ["other< ok"]);

@@ -114,7 +114,7 @@ fn one_request_stops_a_session_where_its_user_may() {
 fn a_device_that_says_nothing_is_waited_for_so_long() {
     let mut stage = stage();
     stage.say("bob", "context stop /lab/arm within=200");
-    // What it says of an older stop, or that it moves, is no answer.
+    // What it says of an older stop, or that it moves, is not an answer.
     stage.say("arm", "message state /lab/arm stopped=true number=0");
     stage.say("arm", "message state /lab/arm stopped=false");
     stage.say("arm", "message state /lab/arm stopped=true stop=newest");

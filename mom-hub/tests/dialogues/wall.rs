@@ -47,7 +47,7 @@ fn a_calendar_follows_the_wall_clock_and_a_grant_does_not() {
     assert!(stage.say("alice", "token renew /lab/key")[0].contains("ok"));
     let lost = stage.at(3_600_000);
     assert!(lost.iter().any(|line| line.contains("released")), "{lost:?}");
-    // The same time again is no step.
+    // The same time again is not a step.
     stage.give(Input::Wall { ahead: 20 * HOUR });
     assert_eq!(stage.effects, []);
 }

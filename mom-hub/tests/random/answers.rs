@@ -12,7 +12,7 @@ use crate::seen::Seen;
 pub(crate) struct Asked {
     pub(crate) peer: PeerId,
     pub(crate) id: u64,
-    /// None = a login, or what is no verb.
+    /// None = a login, or what is not a verb.
     pub(crate) verb: Option<Verb>,
     pub(crate) path: Option<Path>,
     pub(crate) name: String,

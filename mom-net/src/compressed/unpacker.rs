@@ -205,7 +205,7 @@ impl Unpacker {
     /// Opens some more of what has arrived. What comes before a fault is given first, and the fault by the next call.
     ///
     /// # Errors
-    /// `bad-frame` for what is no stream, or needs more memory than was agreed on.
+    /// `bad-frame` for what is not a stream, or needs more memory than was agreed on.
     pub(crate) fn fill(&mut self, bytes: &mut BytesMut) -> Result<(), WireError> {
         let way = self.way;
         if let Some(fault) = self.fault.take() {

@@ -85,7 +85,7 @@ impl Known {
     /// The bytes that may be under way now; `budget` is what was said before.
     pub(super) fn look(&mut self, look: &Look, budget: u64) -> u64 {
         self.round_trip = look.round_trip;
-        // A stop, or the end of a run, is no load.
+        // A stop, or the end of a run, is not a load.
         let dry = look.under_way() < look.segment;
         let more = if dry { self.grown(look, budget) } else { 0 };
         self.measure(look, dry);

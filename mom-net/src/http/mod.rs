@@ -19,7 +19,7 @@ use crate::carrier::Carrier;
 
 pub use stream::HttpStream;
 
-/// How much is read of an answer that grants nothing, and how much of it is shown if it is no hub's.
+/// How much is read of an answer that grants nothing, and how much of it is shown if it is not a hub's.
 const MOST_SAID: usize = 4096;
 const SHOWN: usize = 100;
 
@@ -54,7 +54,7 @@ pub(crate) fn into_io(error: hyper::Error) -> io::Error {
     let kind = match kind {
         Some(source) => source.kind(),
         None if error.is_parse() => {
-            let text = "what answers is no hub: it does not speak HTTP";
+            let text = "what answers is not a hub: it does not speak HTTP";
             return io::Error::new(io::ErrorKind::InvalidData, text);
         }
         None if error.is_closed() || error.is_canceled() || error.is_incomplete_message() => {
@@ -76,7 +76,7 @@ pub(crate) fn refusal(status: StatusCode, said: &[u8]) -> io::Error {
         Ok(Refusal { code, text }) => io::Error::other(WireError::new(Code::from_wire(0, &code), text)),
         Err(_) => {
             let said: String = String::from_utf8_lossy(said).chars().take(SHOWN).collect();
-            let text = format!("what answers is no hub: {status} {}", said.trim());
+            let text = format!("what answers is not a hub: {status} {}", said.trim());
             io::Error::new(io::ErrorKind::InvalidData, text)
         }
     }

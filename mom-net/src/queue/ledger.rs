@@ -30,7 +30,7 @@ pub struct Ledger<I> {
     limit: usize,
     /// The place of the last parcel that had to be kept, and was not for want of room.
     forgotten: u64,
-    /// The next parcel that is no stop does not count: it tells the other side of the link.
+    /// The next parcel that is not a stop does not count: it tells the other side of the link.
     skips: bool,
     /// How many parcels of the run that the link is taking are counted already.
     part: u64,

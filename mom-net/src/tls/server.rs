@@ -62,7 +62,7 @@ impl ServerTls {
             .map_err(|error| {
                 TlsError::new(
                     key,
-                    &format!("it is no key of {}: {error}", certificate.display()),
+                    &format!("it is not a key of {}: {error}", certificate.display()),
                 )
             })?;
         Ok(ServerTls {
@@ -126,7 +126,7 @@ fn write(path: &Path, text: &str) -> Result<(), TlsError> {
 pub(super) fn certificates(file: &Path) -> Result<Vec<CertificateDer<'static>>, TlsError> {
     let text = fs::read(file).map_err(|error| TlsError::new(file, &format!("it cannot be read: {error}")))?;
     let read: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&text).collect();
-    read.map_err(|error| TlsError::new(file, &format!("it is no certificate in PEM: {error}")))
+    read.map_err(|error| TlsError::new(file, &format!("it is not a certificate in PEM: {error}")))
 }
 
 pub(super) fn private_key(file: &Path) -> Result<PrivateKeyDer<'static>, TlsError> {

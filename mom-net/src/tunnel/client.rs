@@ -92,7 +92,7 @@ pub async fn post(
     Ok((answer.status(), answer.into_body()))
 }
 
-/// Sends a request to the server that its URL names, which is no hub, over a connection of its own and through the proxy of the
+/// Sends a request to the server that its URL names, which is not a hub, over a connection of its own and through the proxy of the
 /// environment if it names one; gives the whole answer. `https` needs to know whom to trust.
 ///
 /// # Errors

@@ -166,7 +166,7 @@ pub(crate) async fn connect(carrier: Carrier, address: &Address) -> io::Result<W
     if accept.map(HeaderValue::as_bytes) != Some(accept_of(key.as_bytes()).as_bytes())
         || protocol.map(HeaderValue::as_bytes) != Some(protocol_of(form).as_bytes())
     {
-        let text = "what answers is no hub: its WebSocket is another";
+        let text = "what answers is not a hub: its WebSocket is another";
         return Err(io::Error::new(io::ErrorKind::InvalidData, text));
     }
     let rules = Rules {

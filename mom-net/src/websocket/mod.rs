@@ -64,7 +64,7 @@ struct State {
     owed: bool,
     /// A text message was begun and has no end yet.
     in_message: bool,
-    /// What is sent is no text any more: it is compressed.
+    /// What is sent is not text any more: it is compressed.
     sends_binary: bool,
     /// The end was said.
     finished: bool,

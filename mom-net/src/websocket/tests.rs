@@ -420,7 +420,7 @@ async fn the_end_has_a_status() {
     }
     assert_eq!(told[..], normal);
 
-    // Who goes away for good says so, which is no loss of a link.
+    // Who goes away for good says so, which is not a loss of a link.
     let (hub, peer) = ends(HUB).await;
     let peer = Carrier::Tcp(peer);
     let left = [frame(BINARY, true, b"last", HUB), frame(8, true, &[3, 0xe9], HUB)].concat();

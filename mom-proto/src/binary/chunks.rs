@@ -147,7 +147,7 @@ impl Assembly {
             .freeze();
         match whole.first() {
             Some(&KIND_PARCEL) => Ok(Some(whole)),
-            _ => Err(broken("chunks of something that is no parcel")),
+            _ => Err(broken("chunks of something that is not a parcel")),
         }
     }
 

@@ -95,7 +95,7 @@ pub fn encode_with(parcel: &Parcel, scratch: &mut Scratch) -> Result<Encoded, Wi
     frame(parcel, content, None, scratch)
 }
 
-/// The same for a reader of compressed content: of a message that is no image, and where it pays.
+/// The same for a reader of compressed content: of a message that is not an image, and where it pays.
 ///
 /// # Errors
 /// As [`encode`].

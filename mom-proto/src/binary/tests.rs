@@ -153,7 +153,7 @@ fn check_malformed(bytes: &[u8], code: &Code, slot: Option<&str>, position: i64)
     }
 }
 
-/// A hub opens what is no message, and content that unpacks to more than a parcel may have costs nobody memory.
+/// A hub opens what is not a message, and content that unpacks to more than a parcel may have costs nobody memory.
 #[test]
 fn compressed_content_is_a_message_s_and_within_the_limit() {
     let mut parcel = Parcel::new(Family::Message, "m").content("robot ".repeat(1000));

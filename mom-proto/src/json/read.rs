@@ -15,7 +15,7 @@ use crate::{
 
 use super::is_blank;
 
-/// Why a line is no parcel, and its id if that was read before.
+/// Why a line is not a parcel, and its id if that was read before.
 #[derive(Debug)]
 pub(super) struct Failed {
     pub(super) reference: Option<u64>,

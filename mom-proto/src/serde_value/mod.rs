@@ -64,7 +64,7 @@ const BINARY: &str = "$mom::binary";
 ///
 /// # Errors
 /// `not-encodable` for what has no form on the wire (a number that is not finite or too large, a character
-/// outside XML, a key that is no text), `too-deep` beyond [`HARD_DEPTH`](crate::HARD_DEPTH); both name the
+/// outside XML, a key that is not text), `too-deep` beyond [`HARD_DEPTH`](crate::HARD_DEPTH); both name the
 /// place as their slot: `content/blocks/2/x`.
 pub fn to_value<T: Serialize + ?Sized>(object: &T) -> Result<Value, WireError> {
     Ok(object.serialize(ser::ValueSerializer::default())?)

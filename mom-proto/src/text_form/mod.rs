@@ -37,7 +37,7 @@ pub(crate) fn decode(bytes: &[u8], base: usize) -> Result<&str, (&str, WireError
             text,
             bad(
                 position,
-                format!("the byte 0x{:02X} is no UTF-8 here", bytes[position]),
+                format!("the byte 0x{:02X} is not UTF-8 here", bytes[position]),
             ),
         )),
     }

@@ -85,7 +85,7 @@ pub(super) fn may_begin(line: &[u8]) -> bool {
     line[..known].eq_ignore_ascii_case(&FIRST[..known])
 }
 
-/// The error for a line that is no header.
+/// The error for a line that is not a header.
 pub(super) fn no_header(line: &[u8]) -> WireError {
     let shown = String::from_utf8_lossy(&line[..line.len().min(40)]);
     let text = format!("a header line is Content-Something: value, in ASCII, not {shown:?}");

@@ -131,7 +131,7 @@ impl<'a> Lexemes<'a> {
                 "a parcel has no CDATA sections: write &lt; and &amp;",
             );
         } else {
-            return bad(self.position(), "this markup is no part of a parcel");
+            return bad(self.position(), "this markup is not a part of a parcel");
         };
         WireError::new(Code::RESTRICTED_XML, format!("{what} is never allowed")).position(self.position())
     }
@@ -317,7 +317,7 @@ fn check_name(name: &str, position: usize) -> Result<(), WireError> {
     }
     let why = match name.contains(':') {
         true => format!("a parcel has no namespaces: {:?}", brief(name)),
-        false => format!("{:?} is no name", brief(name)),
+        false => format!("{:?} is not a name", brief(name)),
     };
     Err(bad(position, why))
 }

@@ -11,7 +11,7 @@ use super::multipart::Parts;
 use super::name::is_reserved;
 use super::text::{TextKind, bad, first_ink, unescape};
 
-/// Why a document is no parcel, and its id if that was read before.
+/// Why a document is not a parcel, and its id if that was read before.
 #[derive(Debug)]
 pub(super) struct Failed {
     pub(super) reference: Option<u64>,

@@ -48,7 +48,7 @@ pub(super) fn unescape(raw: &str, base: usize, place: TextKind) -> Result<Cow<'_
     Ok(Cow::Owned(out))
 }
 
-/// The position of the first character that is no white space.
+/// The position of the first character that is not white space.
 pub(super) fn first_ink(raw: &str) -> Option<usize> {
     raw.bytes().position(|byte| !is_blank(byte))
 }

@@ -345,7 +345,7 @@ impl XmlWriter {
     }
 }
 
-/// The name of the element for a member of this key, and the key as its attribute where that is no name.
+/// The name of the element for a member of this key, and the key as its attribute where that is not a name.
 fn element_of(key: &str) -> (&str, Option<&str>) {
     match is_element_key(key) {
         true => (key, None),

@@ -9,7 +9,7 @@ use crate::output::Output;
 
 pub(crate) async fn run(args: &cli::AimArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let text = script(args);
-    // The camera says what it cannot reach; what is no angle it need not be asked.
+    // The camera says what it cannot reach; what is not an angle it need not be asked.
     Mount::script(&text)
         .map_err(|error| Failure::usage(error.to_string(), "angles are degrees: mom aim 20 -10"))?;
     let errand = Errand {

@@ -74,7 +74,7 @@ fn read(text: &str) -> Result<Map, Failure> {
         serde_json::from_str(text).map_err(|error| wrong(format!("--spec: {error}")))?;
     match to_value(&json) {
         Ok(Value::Map(map)) => Ok(map),
-        Ok(_) => Err(wrong("--spec is no object of JSON".to_owned())),
+        Ok(_) => Err(wrong("--spec is not an object of JSON".to_owned())),
         Err(error) => Err(wrong(format!("--spec: {}", error.text))),
     }
 }

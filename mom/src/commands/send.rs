@@ -15,7 +15,7 @@ pub(crate) async fn run(args: &cli::SendArgs, global: &GlobalArgs, output: Outpu
     if !args.path.starts_with('/') {
         return Err(Failure::usage(
             format!(
-                "{:?} is no path, and send takes its own even if --hub has one",
+                "{:?} is not a path, and send takes its own even if --hub has one",
                 args.path
             ),
             format!(

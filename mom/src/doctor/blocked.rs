@@ -23,7 +23,7 @@ pub(crate) enum Blocked {
     Untrusted(String, Option<String>),
     /// No handshake came about.
     Tls(String),
-    /// The other side is no MOM hub: what it is.
+    /// The other side is not a MOM hub: what it is.
     NoHub(String),
     /// A hub answers, and does not take this: its words.
     NotTaken(String),
@@ -68,7 +68,7 @@ impl Blocked {
         }
     }
 
-    /// What the first bytes of an answer mean that is no parcel of this door.
+    /// What the first bytes of an answer mean that is not a parcel of this door.
     pub(crate) fn of_answer(said: &[u8]) -> Option<Blocked> {
         let text = String::from_utf8_lossy(said);
         let line = text.lines().next().unwrap_or_default().trim_end();
@@ -169,8 +169,8 @@ impl Blocked {
     }
 }
 
-/// How an answer of HTTP is told of that is no hub's.
-const NO_HUB: &str = "what answers is no hub: ";
+/// How an answer of HTTP is told of that is not a hub's.
+const NO_HUB: &str = "what answers is not a hub: ";
 
 /// How much of a foreign answer is shown.
 const SHOWN: usize = 80;

@@ -31,7 +31,7 @@ pub static EXTENDED: LazyLock<&'static Table> =
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FileFault {
-    /// It is no TOML.
+    /// It is not TOML.
     Syntax,
     /// Nobody knows this key.
     UnknownKey,
@@ -45,7 +45,7 @@ pub enum FileFault {
     CodeTwice,
     /// A command of the paper has this code or this name.
     OfPaper,
-    /// A name is no word: lower-case letters, digits and `-`, a letter first.
+    /// A name is not a word: lower-case letters, digits and `-`, a letter first.
     Name,
     /// Two commands of the file, or two parameters of one frame, have this name.
     NameTwice,
@@ -188,7 +188,7 @@ fn read_command(keys: &Section, before: &[Listed]) -> Result<Listed, Found> {
 fn read_code(value: &At<Item>, before: &[Listed]) -> Result<Code, Found> {
     let (number, span) = (value.integer()?, &value.span);
     let Some(code) = u8::try_from(number).ok().and_then(Code::new) else {
-        let text = format!("{number} is no code: it has two digits, 0 to 99");
+        let text = format!("{number} is not a code: it has two digits, 0 to 99");
         return Err(Found::new(FileFault::Code, span, text));
     };
     if let Some(command) = PAPER.get(code) {
@@ -231,7 +231,7 @@ fn word<'k>(keys: &'k Section, key: &str) -> Result<(String, &'k Range<usize>), 
     let value = keys.required(key)?;
     let word = value.text()?;
     if !is_word(word) {
-        let text = format!("{word:?} is no word: lower-case letters, digits and `-`, a letter first");
+        let text = format!("{word:?} is not a word: lower-case letters, digits and `-`, a letter first");
         return Err(Found::new(FileFault::Name, &value.span, text));
     }
     Ok((word.to_owned(), &value.span))

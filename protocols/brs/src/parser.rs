@@ -484,7 +484,7 @@ mod tests {
         read(&mut parser, "x1");
         parser.idle();
         assert_eq!(read(&mut parser, "00"), ["00"]);
-        // After an unknown frame, too: what follows the silence is no parameter of it.
+        // After an unknown frame, too: what follows the silence is not a parameter of it.
         read(&mut parser, "55");
         parser.idle();
         let unknown = parser.faults().unknown_bytes;

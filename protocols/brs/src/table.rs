@@ -183,9 +183,9 @@ pub static PAPER: Table = match Table::new(&[Command::NULL, Command::STATUS, Com
 pub enum TableFault {
     /// Two commands have this code.
     CodeTwice(Code),
-    /// A name of a command is no word, or two commands have it.
+    /// A name of a command is not a word, or two commands have it.
     Name(&'static str),
-    /// A name of a parameter is no word, or two parameters of one frame have it.
+    /// A name of a parameter is not a word, or two parameters of one frame have it.
     ParameterName(&'static str),
     /// This command has neither parameters nor a reply, so nobody can say it.
     NeverSaid(Code),

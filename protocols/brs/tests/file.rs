@@ -137,7 +137,7 @@ fn a_code_has_two_digits() {
         let (kind, place, words) = fault(&format!("[[command]]\ncode = {number}\nname = \"x\"\n"));
         assert_eq!((kind, place), (FileFault::Code, (2, 8)), "{number}: {words}");
     }
-    let words = "100 is no code: it has two digits, 0 to 99";
+    let words = "100 is not a code: it has two digits, 0 to 99";
     check("[[command]]\ncode = 100\n", FileFault::Code, (2, 8), words);
 }
 
@@ -172,7 +172,7 @@ fn a_name_is_a_word() {
         let (kind, place, words) = fault(&format!("[[command]]\ncode = 20\nname = \"{name}\"\n"));
         assert_eq!((kind, place), (FileFault::Name, (3, 8)), "{name}: {words}");
     }
-    let words = "\"X\" is no word: lower-case letters, digits and `-`, a letter first";
+    let words = "\"X\" is not a word: lower-case letters, digits and `-`, a letter first";
     let text = beep("reply = [{ name = \"X\", min = 0, max = 1 }]\n");
     check(&text, FileFault::Name, (4, 19), words);
 }
@@ -194,7 +194,7 @@ fn a_name_is_used_once() {
         (6, 12),
         "two parameters have the name `x`",
     );
-    // The same name in a command and in its reply is no mistake.
+    // The same name in a command and in its reply is not a mistake.
     assert!(file::table(&beep(&format!("parameters = [{one}]\nreply = [{one}]\n"))).is_ok());
 }
 

@@ -6,7 +6,7 @@ use mom_toml_faults::Shape;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Fault {
-    /// It is no TOML, or no XML.
+    /// It is not TOML, or no XML.
     Syntax,
     /// The text, or a text in it, is longer than models are.
     TooLong,
@@ -20,7 +20,7 @@ pub enum Fault {
     Type,
     /// A number is not within what its key allows.
     Number,
-    /// A name is no word, or a unit none.
+    /// A name is not a word, or a unit none.
     Name,
     /// Two elements have this name, or names that are the same in code.
     NameTwice,

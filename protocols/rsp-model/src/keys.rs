@@ -64,7 +64,7 @@ pub(crate) fn word(item: &At<Item>) -> Result<At<String>, Found> {
     let text = item.text()?;
     if !is_word(text) {
         let words = format!(
-            "`{}` is no name: lower-case letters and digits, a letter first, `-` between them, at most {LONGEST_NAME}",
+            "`{}` is not a name: lower-case letters and digits, a letter first, `-` between them, at most {LONGEST_NAME}",
             quoted(text)
         );
         return Err(Found::new(Fault::Name, &item.span, words));

@@ -138,7 +138,7 @@ impl Model {
     }
 
     /// All that is wrong in the text of a TOML file, in the order of the places, 50 faults at most; none in a model that can be read.
-    /// Of an element whose kind, type or numbers are at fault nothing more is told. A file that is no TOML has one fault, the first.
+    /// Of an element whose kind, type or numbers are at fault nothing more is told. A file that is not TOML has one fault, the first.
     #[must_use]
     pub fn faults(text: &str) -> Vec<ModelError> {
         let found = match text::of_toml(text) {

@@ -141,7 +141,7 @@ fn unit(item: &At<Item>) -> Result<String, Found> {
     let is_unit = unit.len() <= LONGEST_UNIT && unit.starts_with(first) && unit.chars().all(known);
     if !is_unit && !unit.is_empty() {
         let words = format!(
-            "`{}` is no unit: at most {LONGEST_UNIT} letters, digits, `/`, `*`, `^` and `%`, as in `mm/s` or `m/s^2`",
+            "`{}` is not a unit: at most {LONGEST_UNIT} letters, digits, `/`, `*`, `^` and `%`, as in `mm/s` or `m/s^2`",
             quoted(unit)
         );
         return Err(Found::new(Fault::Name, &item.span, words));

@@ -109,7 +109,7 @@ impl<'a, 'i> File<'a, 'i> {
         }
         if root.tag_name().name() != "XMI" {
             let words = format!(
-                "this is no XMI: `xmi:XMI` or `uml:Model` is expected, and there is `{}`",
+                "this is not XMI: `xmi:XMI` or `uml:Model` is expected, and there is `{}`",
                 quoted(root.tag_name().name())
             );
             return Err(beyond(&begin(root), words));

@@ -258,14 +258,14 @@ fn names_that_are_no_words_are_refused() {
         "unit = \"°\"",
         Fault::Name,
         8,
-        "`°` is no unit: at most 16 letters, digits, `/`, `*`, `^` and `%`, as in `mm/s` or `m/s^2`",
+        "`°` is not a unit: at most 16 letters, digits, `/`, `*`, `^` and `%`, as in `mm/s` or `m/s^2`",
     );
     let text = element("kind = \"event\"").replace("cart", "Cart");
     check(
         &text,
         Fault::Name,
         (1, 8),
-        "`Cart` is no name: lower-case letters and digits, a letter first, `-` between them, at most 48",
+        "`Cart` is not a name: lower-case letters and digits, a letter first, `-` between them, at most 48",
     );
 }
 

@@ -120,7 +120,7 @@ fn failures_say_which_file_and_where() {
     assert_eq!(
         failure(&["check", &file]).0,
         format!(
-            "{file}: 2 mistakes\n  line 1, column 8: `X` is no name: lower-case letters and digits, a letter first, `-` between them, at most 48\n  \
+            "{file}: 2 mistakes\n  line 1, column 8: `X` is not a name: lower-case letters and digits, a letter first, `-` between them, at most 48\n  \
              line 7, column 1: there is no key `uint`; did you mean `unit`?"
         )
     );

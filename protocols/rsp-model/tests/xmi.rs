@@ -45,7 +45,7 @@ fn what_is_no_xmi_is_refused_at_its_place() {
     let error = Model::import_xmi("<html/>").unwrap_err();
     assert_eq!(
         error.to_string(),
-        "line 1, column 1: this is no XMI: `xmi:XMI` or `uml:Model` is expected, and there is `html`"
+        "line 1, column 1: this is not XMI: `xmi:XMI` or `uml:Model` is expected, and there is `html`"
     );
     let words = "there is no `uml:Model` in `xmi:XMI`";
     let empty = "<x:XMI xmlns:x=\"http://www.omg.org/spec/XMI/20131001\"/>";
@@ -108,7 +108,7 @@ fn what_is_checked_in_toml_is_checked_in_xmi() {
         "members=\"_1 _2 _4711\"",
         Fault::Name,
         (46, 56),
-        "`_4711` is no name: lower-case letters and digits, a letter first, `-` between them, at most 48",
+        "`_4711` is not a name: lower-case letters and digits, a letter first, `-` between them, at most 48",
     );
     check(
         "id=\"8\" period",

@@ -19,13 +19,13 @@ pub enum LayoutFault {
     Count,
     /// The effector's safe value has not the size of its values.
     Safe(u8),
-    /// The element is a member of what is no module, or a module is a member.
+    /// The element is a member of what is not a module, or a module is a member.
     Module(u8),
     /// The monitor is of no effector, or its size is another one.
     Monitor(u8),
-    /// An effector adds up what is no number.
+    /// An effector adds up what is not a number.
     Motion(u8),
-    /// The limit of change is no number above 0.
+    /// The limit of change is not a number above 0.
     Rate(u8),
     /// Values or data have no bytes, or a module has some.
     Payload(u8),
@@ -45,7 +45,7 @@ impl fmt::Display for LayoutFault {
             LayoutFault::Safe(place) => (place, "its safe value has not the size of its values"),
             LayoutFault::Module(place) => (
                 place,
-                "it is a member of what is no module, or a module in a module",
+                "it is a member of what is not a module, or a module in a module",
             ),
             LayoutFault::Monitor(place) => (place, "it monitors no effector, or its size is another one"),
             LayoutFault::Motion(place) => (place, "only numbers can be added up or interpolated"),

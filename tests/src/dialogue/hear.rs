@@ -68,7 +68,7 @@ impl Expected {
 fn code(word: &str) -> Result<String, String> {
     match Code::TABLE.iter().any(|code| code.word() == word) {
         true => Ok(word.to_owned()),
-        false => Err(format!("{word} is no code of an error")),
+        false => Err(format!("{word} is not a code of an error")),
     }
 }
 

@@ -63,7 +63,7 @@ use script::Script;
 /// A dialogue that did not go as written.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
-    /// A line that is no line of a dialogue.
+    /// A line that is not a line of a dialogue.
     #[error("line {line}: {text}")]
     Notation {
         /// From 1.

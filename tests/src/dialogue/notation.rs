@@ -8,7 +8,7 @@ use mom_proto::{Map, Time, Value};
 pub(crate) struct Terms {
     /// Bare words, in order.
     pub(crate) words: Vec<String>,
-    /// The value that is no bare word: content.
+    /// The value that is not a bare word: content.
     pub(crate) content: Option<Value>,
     /// `key=value` and `key*=value`.
     pub(crate) fields: Vec<Field>,
@@ -220,7 +220,7 @@ fn read_word(word: &str) -> Result<Value, String> {
             (Ok(int), _) => Ok(Value::Int(int)),
             (Err(_), Ok(double)) => Ok(Value::Double(double)),
             _ => Err(format!(
-                "{word} is no number; a string that begins so stands in quotes"
+                "{word} is not a number; a string that begins so stands in quotes"
             )),
         };
     }
@@ -228,7 +228,7 @@ fn read_word(word: &str) -> Result<Value, String> {
 }
 
 fn read_hex(digits: &str) -> Result<Bytes, String> {
-    let bad = || format!("{digits} is no hex");
+    let bad = || format!("{digits} is not hex");
     if !digits.is_ascii() || !digits.len().is_multiple_of(2) {
         return Err(bad());
     }

@@ -66,11 +66,11 @@ impl Peer {
                 Ok(Some(Frame::Parcel(parcel))) if parcel.is(Family::Time, "ping") => {}
                 Ok(Some(Frame::Parcel(parcel))) => return Ok(Heard::Parcel(parcel)),
                 Ok(Some(Frame::Malformed { error, .. })) => {
-                    return Err(format!("the hub sent what is no parcel: {error}"));
+                    return Err(format!("the hub sent what is not a parcel: {error}"));
                 }
                 // A link that the hub has closed with something unread is reset.
                 Ok(None) | Err(mom_net::NetError::Io(_)) => return Ok(Heard::Closed),
-                Err(error) => return Err(format!("the hub sent what is no frame: {error}")),
+                Err(error) => return Err(format!("the hub sent what is not a frame: {error}")),
             }
         }
     }

@@ -32,7 +32,7 @@ impl Request {
 
 fn any(terms: &mut Terms) -> Result<Parcel, String> {
     let word = terms.take_word("a family")?;
-    let family = Family::from_word(&word).ok_or_else(|| format!("{word} is no family"))?;
+    let family = Family::from_word(&word).ok_or_else(|| format!("{word} is not a family"))?;
     let parcel = Parcel::new(family, terms.take_word("a name")?);
     slots(&parcel, terms)
 }
@@ -71,7 +71,9 @@ fn create(terms: &mut Terms) -> Result<Parcel, String> {
     let path = path(terms)?;
     let kind = terms.take_word("a kind")?;
     if ContextKind::from_word(&kind).is_none() {
-        return Err(format!("{kind} is no kind of context; write others as a parcel"));
+        return Err(format!(
+            "{kind} is not a kind of context; write others as a parcel"
+        ));
     }
     let mut content = Map::new().with("kind", kind);
     for Field { key, value, .. } in terms.fields.drain(..) {
@@ -84,7 +86,7 @@ fn create(terms: &mut Terms) -> Result<Parcel, String> {
 
 /// A verb whose parcel has the fields of the line as its content, or none.
 fn plain(word: &str, terms: &mut Terms) -> Result<Parcel, String> {
-    let verb = Verb::from_word(word).ok_or_else(|| format!("{word} is no verb; write it as a parcel"))?;
+    let verb = Verb::from_word(word).ok_or_else(|| format!("{word} is not a verb; write it as a parcel"))?;
     let parcel = Parcel::new(verb.family(), verb.word());
     let parcel = match verb {
         // The number of its question says what a verdict is about.

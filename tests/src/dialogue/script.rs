@@ -125,7 +125,7 @@ impl Step {
                     who: who.to_owned(),
                     paths: paths.to_vec(),
                 },
-                _ => return Err(format!("{line:?} is no line of a dialogue")),
+                _ => return Err(format!("{line:?} is not a line of a dialogue")),
             },
         };
         terms.nothing_left()?;
@@ -167,7 +167,7 @@ fn duration(text: &str) -> Result<Duration, String> {
             _ => None,
         }
     };
-    read().ok_or_else(|| format!("{text:?} is no time to pass: clock +181s"))
+    read().ok_or_else(|| format!("{text:?} is not a time to pass: clock +181s"))
 }
 
 #[cfg(test)]

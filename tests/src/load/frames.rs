@@ -145,7 +145,7 @@ fn odd(rng: &mut Rng, form: Form) -> Vec<u8> {
             .into_bytes()
         }
         Form::Json => format!("{}\n", ODD_JSON[rng.usize(..ODD_JSON.len())]).into_bytes(),
-        // A parcel with all bits of presence, and what is no slot behind them.
+        // A parcel with all bits of presence, and what is not a slot behind them.
         Form::Binary | Form::Packed => {
             let count = rng.u8(1..64);
             let mut frame = vec![0, 0, 0, count, 0];

@@ -93,7 +93,7 @@ impl Shared {
             let mut due = None;
             for from in [0, 1] {
                 let mut line = lock(&self.lines[from]);
-                // All that is there, before anything is waited for: a device's own queue is no part of the model.
+                // All that is there, before anything is waited for: a device's own queue is not a part of the model.
                 while let Ok(length) = devices[from].read(&mut buffer) {
                     line.offer(buffer[..length].to_vec(), self.start.elapsed());
                 }

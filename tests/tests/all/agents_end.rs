@@ -305,7 +305,7 @@ async fn a_token_without_a_scope_has_a_limit() {
     assert_eq!(token.status().await.expect("told").owner, None);
 }
 
-/// A token that is lost is no word of the arm: whether that has ended the script is for the arm to say.
+/// A token that is lost is not a word of the arm: whether that has ended the script is for the arm to say.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_lost_token_does_not_say_that_the_arm_stands() {
     let (_broker, hub) = hub().await;

@@ -1,4 +1,4 @@
-//! `mom doctor` against hubs, and against what is no hub: what blocks has a name, and what is open is measured (M58-M60).
+//! `mom doctor` against hubs, and against what is not a hub: what blocks has a name, and what is open is measured (M58-M60).
 
 use std::process::Output;
 

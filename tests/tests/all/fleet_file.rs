@@ -408,7 +408,7 @@ async fn an_operator_edits_the_fleet_at_the_hub() {
     carol.client.close().await;
 }
 
-/// A robot that somebody else holds is left to them; who is no operator neither sees where robots listen nor changes it.
+/// A robot that somebody else holds is left to them; who is not an operator neither sees where robots listen nor changes it.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_edit_takes_no_robot_out_of_anybodys_hands() {
     let lab = FleetLab::start();
@@ -442,7 +442,7 @@ async fn an_edit_takes_no_robot_out_of_anybodys_hands() {
     let error = alice
         .channel("/fleet/file")
         .await
-        .expect_err("she is no operator");
+        .expect_err("she is not an operator");
     assert_eq!(error.code().map(Code::word), Some("denied"), "{error}");
     let edit = Parcel::new(Family::Message, "edit")
         .context(Path::parse("/fleet/file").expect("a path"))

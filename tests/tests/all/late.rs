@@ -90,7 +90,7 @@ async fn the_newest_of_each_sender_with_its_age() {
         let expected = [line("arm", "two", 35_000), line("carol", "three", 5_000)];
         assert_eq!(heard(&mut bob, &mut carol).await, expected);
 
-        // A state of nobody is no state.
+        // A state of nobody is not a state.
         arm.ask_about(Family::Context, "leave", PLACE)
             .await
             .expect("nobody is kept");

@@ -241,7 +241,7 @@ async fn a_proxy_says_whose_connection_it_is() {
         in_pieces,
         behind(&broker, &binary(0x20, [192, 0, 2, 9])).await,
         behind(&broker, b"PROXY UNKNOWN 192.0.2.9\r\n").await,
-        // Who is no proxy has no header.
+        // Who is not a proxy has no header.
         Raw::connect(broker.local_addr(), Form::Xml).await,
     ] {
         guest(raw).await;
@@ -303,7 +303,7 @@ async fn threat_28_proxies_that_say_it_wrong_or_not_at_all() {
     broker.stop().await;
 }
 
-/// What is no login counts as one that failed.
+/// What is not a login counts as one that failed.
 async fn fail(raw: &mut Raw) -> Code {
     let nothing = Map::new().with("name", "bob");
     log_in(raw, nothing).await.expect_err("no login").code
@@ -380,7 +380,7 @@ async fn a_header_makes_no_password_safe() {
         client.lookup("/chat").await.expect("it is alice");
         client.close().await;
     }
-    // Who is no proxy comes over loopback as before.
+    // Who is not a proxy comes over loopback as before.
     Raw::login(broker.local_addr(), Form::Xml, "alice").await;
     broker.stop().await;
 }

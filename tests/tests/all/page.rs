@@ -176,7 +176,7 @@ async fn a_client_need_not_wait_for_the_answer_to_its_login() {
     broker.stop().await;
 }
 
-/// Padded numbers, empty chunks, streams whose number comes again, content that is no value: taken as the page says.
+/// Padded numbers, empty chunks, streams whose number comes again, content that is not a value: taken as the page says.
 #[tokio::test]
 async fn odd_frames_are_taken() {
     let broker = lab::start().await;

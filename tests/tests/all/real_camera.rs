@@ -419,7 +419,7 @@ async fn a_password_logs_in_and_is_told_to_nobody() {
     assert!(!ended.success());
     let logged = std::fs::read_to_string(log.path()).expect("a log");
     assert!(
-        logged.contains("this is no URL") && logged.contains("/login"),
+        logged.contains("this is not a URL") && logged.contains("/login"),
         "{logged}"
     );
     for secret in ["s3cret", "wrong", "hidden", "YW5u"] {

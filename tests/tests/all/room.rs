@@ -231,7 +231,7 @@ async fn who_waits_holds_up_nobody_else() {
     scene.end().await;
 }
 
-/// A receiver that stands still is no burden for ever.
+/// A receiver that stands still is not a burden for ever.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_stalled_receiver_is_closed() {
     let mut scene = Scene::new(Form::Xml).await;
@@ -271,7 +271,7 @@ async fn a_message_that_waits_may_lose_its_right() {
         .context(at(BULK))
         .content(Map::new().with("peer", "alice"));
     scene.carol.ask(expel).await.expect("operators may");
-    let error = scene.alice.answer(id).await.expect_err("she is no member now");
+    let error = scene.alice.answer(id).await.expect_err("she is not a member now");
     assert_eq!(error.code.word(), "not-member");
     scene.end().await;
 

@@ -100,7 +100,7 @@ async fn a_follower_arrives_behind_a_leader_that_drives_a_square() {
     let convoy = alice.channel("/convoy").await.expect("people may watch");
     let pose = mom_client::Map::new().with("x", 4000).with("y", 4000);
     let refused = convoy.message("pose").content(pose).send_acknowledged().await;
-    let refused = refused.expect_err("she is no robot");
+    let refused = refused.expect_err("she is not a robot");
     assert_eq!(refused.code(), Some(&Code::DENIED));
     let words = refused.to_string();
     assert!(words.contains("alice may not send"), "{words}");

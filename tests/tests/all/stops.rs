@@ -257,7 +257,7 @@ async fn an_arm_that_was_away_finds_the_stop() {
     let lab = Away::start().await;
     let arm = lab.arm().await;
     drop(arm);
-    // Nobody is there who could stand: that is said, and is no success.
+    // Nobody is there who could stand: that is said, and is not a success.
     let output = lab.mom("alice", &["stop", ARM, "--reason", "smoke"]).await;
     let expected = "/robot/arm: no device is there; it will find it stopped\n";
     let told_so = |output: &Output| {
@@ -406,7 +406,7 @@ async fn where_no_device_is_nothing_is_known_to_stand() {
     assert!(text(&output.stderr).contains("no device is there"), "{output:?}");
 }
 
-/// What one may not stop may move: that is no success.
+/// What one may not stop may move: that is not a success.
 #[tokio::test(flavor = "multi_thread")]
 async fn what_one_may_not_stop_is_named_and_is_no_success() {
     let mut lab = Away::start().await;

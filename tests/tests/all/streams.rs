@@ -172,7 +172,7 @@ fn zstd_of(bytes: &[u8], window_log: u32) -> Vec<u8> {
     encoder.finish().expect("memory")
 }
 
-/// What is no stream, or needs more memory than was agreed on, ends this connection, with the reason, and harms nobody else.
+/// What is not a stream, or needs more memory than was agreed on, ends this connection, with the reason, and harms nobody else.
 #[tokio::test]
 async fn hostile_streams_end_alone() {
     let broker = lab::start().await;
@@ -321,7 +321,9 @@ async fn the_peer_on_the_page_opens_what_the_hub_says() {
     assert!(welcome.contains(r#""compress":"stream-deflate""#), "{welcome}");
     // It is in no channel: what the hub says to it is that it goes.
     let mut carol = Raw::login(broker.local_addr(), Form::Json, "carol").await;
-    let content = Map::new().with("peer", "alice").with("text", "the page is read: 5 €");
+    let content = Map::new()
+        .with("peer", "alice")
+        .with("text", "the page is read: 5 €");
     let expel = Parcel::new(Family::Context, "expel")
         .context(at("/"))
         .content(content);

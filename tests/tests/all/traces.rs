@@ -98,7 +98,7 @@ async fn one_message_makes_spans_at_both_ends_and_in_the_hub() {
             assert!(line.contains(part), "{part} in {line}");
         }
     }
-    // What is no traceparent goes through as well, and is no trace.
+    // What is not traceparent goes through as well, and is not a trace.
     let before = lines.text();
     let odd = from.message("say").trace("mine").no_echo();
     odd.send_acknowledged().await.expect("it is a slot as any other");

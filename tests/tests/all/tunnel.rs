@@ -177,7 +177,7 @@ fn message(text: &str) -> Parcel {
     Parcel::new(Family::Message, "chat").context(chat()).content(text)
 }
 
-/// Somebody in the chat who is no part of the tunnel.
+/// Somebody in the chat who is not a part of the tunnel.
 async fn carol(broker: &Broker) -> (Client, Events) {
     let carol = Client::builder(format!("bin://{}", broker.local_addr()));
     let carol = carol.user("carol").password("carol").no_reconnect().connect();

@@ -113,7 +113,7 @@ async fn a_full_hub_is_not_ready() {
     let broker = lab::start_with(|config| config.connections = 2).await;
     let mut connection = Connection::open(broker.local_addr()).await;
     assert_eq!(connection.ask("GET /readyz", &[], b"").await.status, 200);
-    // The session's peer is one, and the connection of a user is no stranger's, who could go for another.
+    // The session's peer is one, and the connection of a user is not a stranger's, who could go for another.
     let login = json!({ "user": "alice", "password": "alice" }).to_string();
     let opened = connection.ask("POST /api/login", &[], login.as_bytes()).await;
     assert_eq!(opened.status, 200, "{}", opened.text());

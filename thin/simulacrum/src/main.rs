@@ -78,10 +78,10 @@ fn place(text: &str) -> anyhow::Result<(String, SocketAddr)> {
         .split_once('=')
         .context("a robot is its session and its address: /cubo=127.0.0.1:7700")?;
     mom_client::Path::parse(path)
-        .with_context(|| format!("{path:?} is no path of a context; one is such as /cubo"))?;
+        .with_context(|| format!("{path:?} is not a path of a context; one is such as /cubo"))?;
     let address = address
         .parse()
-        .with_context(|| format!("{address:?} is no address with a port, such as 127.0.0.1:7700"))?;
+        .with_context(|| format!("{address:?} is not an address with a port, such as 127.0.0.1:7700"))?;
     Ok((path.to_owned(), address))
 }
 

@@ -30,7 +30,7 @@ impl Clip {
     ///
     /// # Errors
     ///
-    /// What is no WAV file, empty, longer than 60 s, or of a rate that no sound has.
+    /// What is not a WAV file, empty, longer than 60 s, or of a rate that no sound has.
     pub fn read(wav: &[u8]) -> Result<Self, SoundError> {
         let mut reader = WavReader::new(Cursor::new(wav)).map_err(|error| wrong(&error))?;
         let WavSpec {

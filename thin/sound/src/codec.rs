@@ -128,7 +128,7 @@ impl Decoder {
         let Some(opus) = &mut self.opus else {
             return vec![0; size];
         };
-        // What is no packet is nothing to be heard.
+        // What is not a packet is nothing to be heard.
         if opus.decode(block, size, &mut samples).is_err() {
             samples.fill(0.0);
         }

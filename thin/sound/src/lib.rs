@@ -26,11 +26,11 @@ mod codec;
 pub use clip::Clip;
 pub use codec::{Decoder, Encoder};
 
-/// Why something is no sound.
+/// Why something is not a sound.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SoundError {
-    /// It is no WAV file that can be read: why.
-    #[error("it is no WAV file that can be read: {0}")]
+    /// It is not a WAV file that can be read: why.
+    #[error("it is not a WAV file that can be read: {0}")]
     Wav(String),
     /// It has no sample.
     #[error("it is empty")]

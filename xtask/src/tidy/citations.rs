@@ -166,7 +166,7 @@ fn plain_words(text: &str) -> impl Iterator<Item = (usize, &str)> {
     })
 }
 
-/// Whether the word between these is no part of a name such as `x-M1`, `a/S3` or `W5=7`.
+/// Whether the word between these is not a part of a name such as `x-M1`, `a/S3` or `W5=7`.
 fn stands_alone(before: &str, after: &str) -> bool {
     let joins = |next: char| "-/\\.#=:@$".contains(next);
     let mut after = after.chars();

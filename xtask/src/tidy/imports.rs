@@ -301,7 +301,7 @@ fn impure_crates(graph: &str) -> BTreeSet<&str> {
 
 fn manifest(tree: &Tree, path: &str) -> Result<Table> {
     let text = tree.text(path).with_context(|| format!("{path} is not here"))?;
-    text.parse().with_context(|| format!("{path} is no TOML"))
+    text.parse().with_context(|| format!("{path} is not TOML"))
 }
 
 fn package_name(manifest: &Table) -> Option<&str> {

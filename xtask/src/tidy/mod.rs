@@ -14,6 +14,7 @@ mod rooms;
 mod rust_text;
 mod size;
 mod tree;
+mod turns;
 
 use std::fmt;
 use std::path::Path;
@@ -56,6 +57,7 @@ const CHECKS: &[(&str, Check)] = &[
     ("cite", citations::check),
     ("word", glossary::check),
     ("name", names::check),
+    ("turn", turns::check),
 ];
 
 /// Runs all checks on the checkout at `root` and prints the findings; whether there were none.

@@ -314,7 +314,7 @@ fn read_tree(reader: &mut Reader<'_>, path: &mut Vec<String>, found: &mut Vec<Le
             if !reader.take(",") {
                 let before = reader.at;
                 read_tree(reader, path, found);
-                // What is no tree is left to the compiler.
+                // What is not a tree is left to the compiler.
                 if reader.at == before {
                     return;
                 }

@@ -151,7 +151,7 @@ def _split(text: str, authority: str) -> Tuple[str, Optional[int]]:
         if not host:
             raise AddressError(text, "it names no host")
         if not _HOST.match(host):
-            raise AddressError(text, f"{host!r} is no name of a host")
+            raise AddressError(text, f"{host!r} is not a name of a host")
     if port is None:
         return host, None
     if not port.isdecimal() or not 0 < int(port) < 65536:

@@ -34,7 +34,7 @@ STREAM_MARK = b"\0\0\0\1\2"
 def varint(number: int) -> bytes:
     """7 bits a byte, the lowest first."""
     if number < 0 or number >= 1 << 64:
-        raise LocalError("not-encodable", f"{number} is no count from 0 to 2^64 - 1")
+        raise LocalError("not-encodable", f"{number} is not a count from 0 to 2^64 - 1")
     out = bytearray()
     while number > 0x7F:
         out.append(number & 0x7F | 0x80)
@@ -110,7 +110,7 @@ def _index(words: Tuple[str, ...], word: str, what: str) -> int:
     try:
         return words.index(word)
     except ValueError:
-        raise LocalError("bad-slot", f"{word!r} is no {what}: it is one of {', '.join(words)}") from None
+        raise LocalError("bad-slot", f"{word!r} is not a {what}: it is one of {', '.join(words)}") from None
 
 
 def frame(body: bytes) -> bytes:
@@ -309,7 +309,7 @@ class Decoder:
         seen = bytes(self._input[: len(PREFACE)])
         if not PREFACE.startswith(seen[:4]):
             said = bytes(self._input[:200]).decode("ascii", "replace")
-            raise LocalError("bad-frame", f"this is no hub, or none that speaks the binary form: {said!r}")
+            raise LocalError("bad-frame", f"this is not a hub, or none that speaks the binary form: {said!r}")
         if len(seen) < len(PREFACE):
             return False
         if seen[4] != PREFACE[4]:

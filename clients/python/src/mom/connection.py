@@ -83,7 +83,7 @@ class Connection:
         connection = cls(transport, numbers)
         try:
             await transport.write(binary.PREFACE)
-            # Whoever takes connections is no hub yet: its preface says so.
+            # Whoever takes connections is not a hub yet: its preface says so.
             while not connection.decoder.began:
                 if not await connection._arrive():
                     raise ConnectionDownError(f"{address}: closed before a word was said")

@@ -209,7 +209,7 @@ class AddressError(MomError):
     """What was given as the address of a hub is none."""
 
     def __init__(self, address: str, why: str) -> None:
-        super().__init__(f"{address!r} is no address of a hub: {why}")
+        super().__init__(f"{address!r} is not an address of a hub: {why}")
 
 
 class LocalError(MomError):

@@ -42,7 +42,7 @@ class Key:
         except (ValueError, TypeError):
             private = None
         if not isinstance(private, kinds.Ed25519PrivateKey):
-            text = "this is no private key of Ed25519 in PEM (-----BEGIN PRIVATE KEY-----)"
+            text = "this is not a private key of Ed25519 in PEM (-----BEGIN PRIVATE KEY-----)"
             raise LocalError("bad-encoding", text)
         return cls(private)
 

@@ -62,7 +62,7 @@ class Device:
         if heartbeat > _SLOW_HEARTBEAT:
             text = "the device of %s hears only after %g s that its hub is silent: connect with heartbeat=0.5"
             LOG.warning(text, channel.path, heartbeat * 1.5 / 1000)
-        self._over = "it is no device of its channel any more"
+        self._over = "it is not a device of its channel any more"
         """Why, once it is so."""
         self._obeying = asyncio.ensure_future(self._obey())
 
@@ -89,7 +89,7 @@ class Device:
         self._say(self.channel.send("state", content, to=to, delivery="latest", echo=False))
 
     async def ended(self) -> None:
-        """Waits until it is no device there any more; raises what its machine has raised. Safe to cancel."""
+        """Waits until it is not a device there any more; raises what its machine has raised. Safe to cancel."""
         await asyncio.shield(self._obeying)
 
     async def leave(self) -> None:

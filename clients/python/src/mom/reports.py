@@ -15,7 +15,7 @@ from .tunnel import Requests
 LOG = logging.getLogger("mom")
 
 _MOST, _WORD = 4096, 64
-"""The bytes of a report that a hub takes, and the letters of what is no text in it."""
+"""The bytes of a report that a hub takes, and the letters of what is not text in it."""
 _PER_MINUTE, _MINUTE = 5, 60.0
 """A hub takes 10 from one address."""
 _PATIENCE = 5.0

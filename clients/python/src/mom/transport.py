@@ -222,7 +222,7 @@ async def open_transport(address: Address, trust: Trust) -> Transport:
 
             return await open_tunnel(address, trust, context)
         if address.door != TCP:
-            raise LocalError("bad-slot", f"{address} is no single door: try those of Address.doors")
+            raise LocalError("bad-slot", f"{address} is not a single door: try those of Address.doors")
         return StreamTransport(*await dial(address, trust, context))
     except (OSError, EOFError) as error:
         raise ConnectionDownError(f"{address}: {error}") from error

@@ -70,7 +70,7 @@ def _pack(packer: Any, value: Value, depth: int) -> None:
         packer.pack(int(value))
     elif isinstance(value, float):
         if not math.isfinite(value):
-            raise _not_encodable(f"{value} is no number on the wire: leave it out, or send null")
+            raise _not_encodable(f"{value} is not a number on the wire: leave it out, or send null")
         packer.pack(float(value))
     elif isinstance(value, str):
         check_text(value)
@@ -90,7 +90,7 @@ def _pack_container(packer: Any, value: Value, depth: int) -> None:
         packer.pack_map_header(len(value))
         for key, member in value.items():
             if not isinstance(key, str):
-                raise _not_encodable(f"the key {key!r} of a map is no string")
+                raise _not_encodable(f"the key {key!r} of a map is not a string")
             check_text(key)
             packer.pack(str(key))
             _pack(packer, member, depth)
@@ -101,7 +101,7 @@ def _pack_container(packer: Any, value: Value, depth: int) -> None:
 
 
 def check_text(text: str) -> None:
-    """Refuses what is no text of XML 1.0, which all forms share."""
+    """Refuses what is not text of XML 1.0, which all forms share."""
     found = _NOT_XML.search(text)
     if found:
         raise _not_encodable(f"the character {found.group()!r} may not stand in a string: send bytes")
@@ -125,12 +125,12 @@ def _map(pairs: List[Tuple[str, Value]]) -> Dict[str, Value]:
     if len(known) != len(pairs):
         raise LocalError("bad-content", "a key of a map stands there twice")
     if not all(isinstance(key, str) for key in known):
-        raise LocalError("bad-content", "a key of a map is no string")
+        raise LocalError("bad-content", "a key of a map is not a string")
     return known
 
 
 def _no_extension(code: int, data: bytes) -> Value:
-    raise LocalError("bad-content", f"the extension type {code} of MessagePack is no value of MOM")
+    raise LocalError("bad-content", f"the extension type {code} of MessagePack is not a value of MOM")
 
 
 def _checked(value: Value, depth: int = 0) -> Value:
@@ -143,7 +143,7 @@ def _checked(value: Value, depth: int = 0) -> Value:
     elif isinstance(value, list):
         value[:] = [_checked(member, depth + 1) for member in value]
     elif isinstance(value, float) and not math.isfinite(value):
-        raise LocalError("bad-content", f"{value} is no number of MOM")
+        raise LocalError("bad-content", f"{value} is not a number of MOM")
     elif isinstance(value, int) and value >= 1 << 63:
         raise LocalError("bad-content", f"{value} does not fit into 64 bits")
     elif isinstance(value, msgpack.Timestamp):

@@ -32,7 +32,7 @@ export class Repeat {
     if (!driver.hub.isUp) return this.end("link");
     const begun = performance.now();
     this.now = { ...now, count: now.count + 1 };
-    // What is late is no order any more.
+    // What is late is not order any more.
     const { keys, refused } = await driver.send(now.units, () => now.statement, { expires: Math.max(1000, now.every * 2) });
     this.keys = keys;
     for (const key of keys) this.#all.add(key);

@@ -57,7 +57,7 @@ function rowOf(table: Table, key: number, notes: string[]): Row {
   });
 }
 
-/** Reads a file. What it holds is checked afterwards, field by field; here only what is no model at all is refused. */
+/** Reads a file. What it holds is checked afterwards, field by field; here only what is not a model at all is refused. */
 export async function read(text: string): Promise<Loaded> {
   if (text.length > LONGEST_FILE) return { mistake: t.file.tooLarge(LONGEST_FILE) };
   const { parse, TomlError } = await import("smol-toml");

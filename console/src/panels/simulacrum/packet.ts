@@ -26,7 +26,7 @@ export interface Header {
 export interface Seen {
   header: Header;
   sealed: boolean;
-  /** One bit for each element; undefined where it cannot be known: of a sealed packet, or one that is no data packet. */
+  /** One bit for each element; undefined where it cannot be known: of a sealed packet, or one that is not data packet. */
   bits: readonly boolean[] | undefined;
   /** The header's bytes by field, the map's and the payload's, in hexadecimal; the last two are empty where they are sealed. */
   parts: { header: readonly string[]; map: string; payload: string };

@@ -97,7 +97,7 @@ pub enum Refusal {
     #[error("{MOST_UNANSWERED} NULLs have no reply yet")]
     Unanswered,
     /// It is a reply, or a command that base stations never send.
-    #[error("it is no command")]
+    #[error("it is not a command")]
     NoCommand,
 }
 

@@ -161,7 +161,7 @@ fn attempts_come_after_half_a_second_doubling_to_ten() {
         take(&mut circuit, now, Input::Time);
         assert_eq!(asked(&mut circuit, now), [Output::Connect]);
     }
-    // A robot that accepts and says nothing is no success; one that speaks is.
+    // A robot that accepts and says nothing is not a success; one that speaks is.
     for (heard, most) in [(false, 10_000), (true, 500)] {
         take(&mut circuit, now, Input::Connected);
         if heard {
@@ -176,7 +176,7 @@ fn attempts_come_after_half_a_second_doubling_to_ten() {
     }
 }
 
-/// What a robot says before it closes, as it has a base station already, is no success.
+/// What a robot says before it closes, as it has a base station already, is not a success.
 #[test]
 fn a_robot_that_says_who_holds_it_is_never_writable_and_tried_ever_more_seldom() {
     let options = Options {

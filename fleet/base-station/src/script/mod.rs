@@ -87,13 +87,13 @@ enum Step {
 pub enum ScriptFault {
     /// Nobody knows this word here.
     UnknownWord,
-    /// A unit is no number, or not in the fleet.
+    /// A unit is not a number, or not in the fleet.
     Unit,
     /// Something is missing at the end of a statement.
     Missing,
     /// A statement goes on after its end.
     TooMuch,
-    /// A value is no number, or out of range.
+    /// A value is not a number, or out of range.
     Value,
     /// A command has no reply.
     NoReply,

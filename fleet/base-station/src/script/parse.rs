@@ -326,7 +326,7 @@ impl<'a> Reader<'a> {
                 found(ScriptFault::Unit, at, text)
             }
             _ => {
-                let text = format!("`{}` is no unit number; units are written 1,3-5", quoted(text));
+                let text = format!("`{}` is not a unit number; units are written 1,3-5", quoted(text));
                 found(ScriptFault::Unit, at, text)
             }
         }

@@ -233,7 +233,7 @@ fn wrong_units_and_values_are_refused_where_they_stand() {
         (
             "1, 2 null",
             Unit,
-            "line 1, column 3: `` is no unit number; units are written 1,3-5",
+            "line 1, column 3: `` is not a unit number; units are written 1,3-5",
         ),
         (
             "4-2 null",

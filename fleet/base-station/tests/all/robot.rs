@@ -59,7 +59,7 @@ impl Robot {
         assert!(seen.await.is_ok(), "{expected} should have happened");
     }
 
-    /// The next command that is no NULL.
+    /// The next command that is not NULL.
     pub(crate) async fn command(&mut self) -> String {
         let command = timeout(PATIENCE, async {
             loop {

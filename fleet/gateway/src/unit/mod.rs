@@ -56,7 +56,7 @@ pub struct Unit {
     pose: Option<(Pose, DeviceTime)>,
     /// When that came.
     posed: DeviceTime,
-    /// When what was asked of it was asked, in order: replies come in the order of their questions (W2).
+    /// Send times of outstanding requests, oldest first: replies come in the order of requests (W2).
     asked_status: VecDeque<Question>,
     asked_pose: VecDeque<DeviceTime>,
     /// The number of the next question for its status.

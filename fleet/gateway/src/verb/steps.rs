@@ -196,7 +196,7 @@ mod tests {
             ),
             (
                 "?: leds 1",
-                "f:1: `?` is no number of a robot; numbers, ranges and groups such as 1,3-5,scouts, or all",
+                "f:1: `?` is not a number of a robot; numbers, ranges and groups such as 1,3-5,scouts, or all",
             ),
             (
                 "leds 1",

@@ -75,7 +75,7 @@ fn number(text: &str) -> Result<u32, String> {
         .filter(|number| (1..=HIGHEST).contains(number))
         .ok_or_else(|| {
             format!(
-                "`{text}` is no number of a robot; numbers, ranges and groups such as 1,3-5,scouts, or all"
+                "`{text}` is not a number of a robot; numbers, ranges and groups such as 1,3-5,scouts, or all"
             )
         })
 }
@@ -102,11 +102,11 @@ mod tests {
             assert_eq!(units.of(&known), expected, "{text}");
         }
         for (text, words) in [
-            ("", "`` is no number of a robot"),
-            ("0", "`0` is no number of a robot"),
-            ("1-", "`` is no number of a robot"),
-            ("2,*", "`*` is no number of a robot"),
-            ("100000", "`100000` is no number"),
+            ("", "`` is not a number of a robot"),
+            ("0", "`0` is not a number of a robot"),
+            ("1-", "`` is not a number of a robot"),
+            ("2,*", "`*` is not a number of a robot"),
+            ("100000", "`100000` is not a number"),
             ("5-3", "`5-3` begins above its end"),
         ] {
             let error = Units::parse(text).expect_err(text);

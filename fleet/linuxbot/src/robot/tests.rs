@@ -315,7 +315,7 @@ fn its_driver_stops_the_motors_when_its_program_stands_still() {
     assert_eq!(sensors.motors, Motors::new(10, 10));
 }
 
-/// A `00` that is read among the bytes of something else is no word of a base station that is understood.
+/// A `00` that is read among the bytes of something else is not a word of a base station that is understood.
 #[test]
 fn what_is_doubtful_feeds_the_watchdog_only_by_moving_the_robot() {
     for (doubtful, expired) in [(false, false), (true, true)] {

@@ -25,7 +25,7 @@ pub struct ZoneBox {
 }
 
 impl ZoneBox {
-    /// `{from: [x, y, z], to: [x, y, z]}`; none if it is no box.
+    /// `{from: [x, y, z], to: [x, y, z]}`; none if it is not a box.
     pub(super) fn read(content: &Value) -> Option<Self> {
         let map = content.as_map()?;
         let corner = |key: &str| -> Option<Xyz> {

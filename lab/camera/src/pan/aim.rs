@@ -76,7 +76,7 @@ impl Aim {
         Err(DeviceError::new(ErrorName::JointLimit, text).with_reachable(nearest.to_map()))
     }
 
-    /// The nearest aim that the mount can turn to; what is no number counts as 0.
+    /// The nearest aim that the mount can turn to; what is not a number counts as 0.
     fn nearest(&self) -> Aim {
         let clamp = |angle: f64, limits: RangeInclusive<f64>| match angle.is_nan() {
             true => 0.0,

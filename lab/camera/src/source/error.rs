@@ -30,7 +30,7 @@ pub enum SourceError {
     /// Bytes come, but no whole picture.
     #[error("no whole picture has come for {} s", .0.as_secs())]
     Slow(Duration),
-    /// The answer is no success.
+    /// The answer is not a success.
     #[error("the answer is {0}")]
     Status(http::StatusCode),
     /// The answer names another place.
@@ -45,7 +45,7 @@ pub enum SourceError {
     /// Neither a stream of pictures nor a picture.
     #[error("the answer is {0}, and no multipart stream or image")]
     Kind(String),
-    /// The connection broke down, or the answer is no HTTP.
+    /// The connection broke down, or the answer is not HTTP.
     #[error("the answer cannot be read: {0}")]
     Broken(String),
     /// The stream has ended.
@@ -54,7 +54,7 @@ pub enum SourceError {
     /// The stream is not what it says.
     #[error(transparent)]
     Multipart(#[from] MultipartError),
-    /// What came is no picture.
+    /// What came is not a picture.
     #[error(transparent)]
     Frame(#[from] FrameError),
 }

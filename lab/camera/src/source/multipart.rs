@@ -28,8 +28,8 @@ pub enum MultipartError {
     /// The headers of a part do not end.
     #[error("the headers of a part are longer than {MOST_HEADERS} bytes")]
     Headers,
-    /// The length of a part is no number.
-    #[error("the length of a part is no number")]
+    /// The length of a part is not a number.
+    #[error("the length of a part is not a number")]
     Length,
     /// A part is larger than allowed.
     #[error("a part is larger than {0} bytes")]

@@ -33,8 +33,10 @@ pub struct SourceUrl {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum BadUrl {
-    /// It is no URL.
-    #[error("this is no URL ({0}); write http://host/path, and % codes for special characters in a password")]
+    /// It is not a URL.
+    #[error(
+        "this is not a URL ({0}); write http://host/path, and % codes for special characters in a password"
+    )]
     Syntax(String),
     /// Another protocol.
     #[error("a camera's URL begins with http:// or https://")]

@@ -186,7 +186,7 @@ impl Config {
         })?;
         for (token, _) in &owners {
             if hub.place(token).map(|place| place.kind) != Some(ContextKind::Token) {
-                return Err(plain(format!("{token} is no token, so nobody owns it")));
+                return Err(plain(format!("{token} is not a token, so nobody owns it")));
             }
         }
         let judgement = hub.judge(&Case {

@@ -163,7 +163,10 @@ fn limits() -> Value {
             "One parcel with its headers and parts, in bytes, or unlimited.",
         ),
         ("slots", "All slots of one parcel but its content, in bytes."),
-        ("control", "The content of a parcel that is no message, in bytes."),
+        (
+            "control",
+            "The content of a parcel that is not a message, in bytes.",
+        ),
         ("depth", "Lists and maps inside each other."),
         ("attributes", "Attributes of one XML element."),
         ("attribute-size", "One XML attribute, in bytes."),

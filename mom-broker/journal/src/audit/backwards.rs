@@ -8,7 +8,7 @@ use super::fact::LONGEST;
 /// What is read at once.
 const BLOCK: u64 = 64 * 1024;
 
-/// More than this without a line end is no line of an audit log.
+/// More than this without a line end is not a line of an audit log.
 const NO_LINE: usize = 16 * LONGEST;
 
 /// Reads lines from the end of a file towards its beginning.
@@ -109,7 +109,7 @@ fn seq_at(file: &mut File, offset: u64, end: u64) -> io::Result<Option<(u64, u64
     Ok(None)
 }
 
-/// The number of a line; none for what is no line.
+/// The number of a line; none for what is not a line.
 pub(super) fn seq_of(line: &[u8]) -> Option<u64> {
     serde_json::from_slice::<serde_json::Value>(line).ok()?["seq"].as_u64()
 }

@@ -316,5 +316,5 @@ impl RequestTold {
 
 /// A path of a recording.
 pub(super) fn path(text: &str) -> Result<Path, String> {
-    Path::parse(text).map_err(|error| format!("{text:?} is no path: {}", error.text))
+    Path::parse(text).map_err(|error| format!("{text:?} is not a path: {}", error.text))
 }

@@ -73,7 +73,7 @@ impl RecordingReader {
                 "a recording of form {}; this program reads form {VERSION}",
                 head.form
             ))),
-            _ => Err(log.error("this is no recording: its head is missing".to_owned())),
+            _ => Err(log.error("this is not a recording: its head is missing".to_owned())),
         }
     }
 
@@ -91,7 +91,7 @@ impl RecordingReader {
                 self.torn = true;
                 Ok(None)
             }
-            Err(error) if self.line == 1 => Err(self.error(format!("this is no recording: {error}"))),
+            Err(error) if self.line == 1 => Err(self.error(format!("this is not a recording: {error}"))),
             Err(error) => Err(self.error(format!("this line is damaged: {error}"))),
         }
     }
@@ -178,8 +178,8 @@ mod tests {
     fn another_file_is_no_recording() {
         for (text, words) in [
             (String::new(), "head is missing"),
-            ("[listen]\n".to_owned(), ":1: this is no recording"),
-            (format!("{TICK}\n"), ":1: this is no recording: its head"),
+            ("[listen]\n".to_owned(), ":1: this is not a recording"),
+            (format!("{TICK}\n"), ":1: this is not a recording: its head"),
             (HEAD.replace("\"form\":2", "\"form\":9"), "form 9"),
             (
                 HEAD.replace("\"form\":2", "\"form\":1"),

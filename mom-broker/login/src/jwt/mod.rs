@@ -85,7 +85,7 @@ impl Verifier {
         for algorithm in &algorithms {
             // Only checks that the key fits the algorithm and curve.
             crypto::verify("", b"", &key, *algorithm)
-                .map_err(|_| wrong("key")(format!("this is no key for {algorithm:?}")))?;
+                .map_err(|_| wrong("key")(format!("this is not a key for {algorithm:?}")))?;
         }
         let mut validation = Validation::new(algorithms[0]);
         validation.algorithms = algorithms;
@@ -108,7 +108,7 @@ impl Verifier {
     /// `bad-login`; with the reason only if the issuer signed it.
     pub(super) fn verify(&self, token: &str, now: Time) -> Result<Proven, WireError> {
         let refused = |text: &str| WireError::new(Code::BAD_LOGIN, text);
-        let untrusted = || refused("this is no token of the issuer that this hub trusts");
+        let untrusted = || refused("this is not a token of the issuer that this hub trusts");
         // Critical extensions (RFC 7515, 4.1.11) are not supported.
         let header = decode_header(token).map_err(|_| untrusted())?;
         if header.crit.is_some() {
@@ -139,7 +139,7 @@ impl Verifier {
         {
             return Err(refused("the token is not valid yet"));
         }
-        check_name(sub).map_err(|_| refused("the token's sub is no name of a user"))?;
+        check_name(sub).map_err(|_| refused("the token's sub is not a name of a user"))?;
         let rights = match self.config.users {
             JwtUsers::File => None,
             JwtUsers::FromClaims => Some(
@@ -171,9 +171,9 @@ fn algorithms(words: &[String]) -> Result<Vec<Algorithm>, String> {
     for word in words {
         let algorithm = word.parse::<Algorithm>().map_err(|_| {
             if word.eq_ignore_ascii_case("none") {
-                "none is no signature: anybody could make such a token".to_owned()
+                "none is not a signature: anybody could make such a token".to_owned()
             } else {
-                format!("{word:?} is no algorithm; known are {KNOWN}")
+                format!("{word:?} is not an algorithm; known are {KNOWN}")
             }
         })?;
         algorithms.push(algorithm);
@@ -212,7 +212,7 @@ fn read_key(family: AlgorithmFamily, text: &str) -> Result<DecodingKey, String> 
         AlgorithmFamily::Ec => ("ECDSA", DecodingKey::from_ec_pem(text.as_bytes())),
         _ => ("RSA", DecodingKey::from_rsa_pem(text.as_bytes())),
     };
-    let key = key.map_err(|_| format!("this is no public key of {kind}, which the algorithms require"))?;
+    let key = key.map_err(|_| format!("this is not a public key of {kind}, which the algorithms require"))?;
     let bytes = key.try_get_as_bytes().unwrap_or_default();
     if family == AlgorithmFamily::Ed && bytes.len() != ED25519 {
         return Err("for EdDSA only keys of Ed25519 are accepted".to_owned());
@@ -221,7 +221,7 @@ fn read_key(family: AlgorithmFamily, text: &str) -> Result<DecodingKey, String> 
         let parts = (crypto::rust_crypto::DEFAULT_PROVIDER
             .key_utils
             .rsa_pub_components_from_public_key)(bytes);
-        let (modulus, _) = parts.map_err(|_| "this is no public key of RSA".to_owned())?;
+        let (modulus, _) = parts.map_err(|_| "this is not a public key of RSA".to_owned())?;
         if modulus.len() < MODULUS {
             return Err(format!("a key of RSA has at least {} bits", MODULUS * 8));
         }

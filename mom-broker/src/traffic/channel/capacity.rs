@@ -98,7 +98,7 @@ impl State {
     }
 
     /// Before the hub is asked about a message: whether there is capacity for it, as far as can be said before it is
-    /// encoded. What the hub will refuse is no question of capacity.
+    /// encoded. What the hub will refuse is not a question of capacity.
     pub(super) fn foresee_capacity(
         &self,
         sender: PeerId,
@@ -106,7 +106,7 @@ impl State {
         mut place: Option<WaiterHandle>,
     ) -> Result<Box<Parcel>, Box<NoCapacity>> {
         let delivery = parcel.delivery.unwrap_or(self.route.delivery);
-        // Who is no member any more waits for nobody: the hub says why not.
+        // Who is not a member any more waits for nobody: the hub says why not.
         if !self.waits(lane_of(&parcel, false), delivery) || self.route.position(sender).is_none() {
             return Ok(parcel);
         }

@@ -194,7 +194,7 @@ impl State {
                 };
                 self.deliver(sender.peer, admitted)
             }
-            // The hub's lock is no place to wait, so there is capacity before it is asked.
+            // The hub's lock is not a place to wait, so there is capacity before it is asked.
             Ok(Admission::Consult) => match self.foresee_capacity(sender.peer, parcel, place) {
                 Ok(parcel) => Outcome::Consult(parcel, ingress.clock),
                 Err(full) => self.unsent(Why::Full(full, since.unwrap_or(ingress.now)), message, reference),

@@ -94,7 +94,7 @@ pub(crate) struct Dropped {
 }
 
 impl Packet {
-    /// Whether thinning may leave it out: a message that needed no token and is no stop. What is guarded is a command, and
+    /// Whether thinning may leave it out: a message that needed no token and is not a stop. What is guarded is a command, and
     /// each command counts.
     pub(crate) fn may_be_thinned(&self) -> bool {
         matches!(self.lane, Lane::Data(_)) && self.gate.is_none()

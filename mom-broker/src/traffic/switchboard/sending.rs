@@ -163,7 +163,7 @@ impl Switchboard {
     }
 
     /// A message without capacity: it waits on, unless it has done so for long enough. A receiver that has made no room
-    /// for too long is closed, and is no hindrance any more.
+    /// for too long is closed, and is not a hindrance any more.
     fn hold(
         &self,
         limits: &Limits,

@@ -73,7 +73,7 @@ pub(crate) struct Entry {
     destination: Option<Box<Destination>>,
     /// When its time is over, in µs of the wall clock.
     pub(super) expires_at: Option<u64>,
-    /// None of what is no message.
+    /// None of what is not a message.
     capacity: Option<Capacity>,
     /// Whether its capacity was given back.
     given: AtomicBool,

@@ -296,7 +296,7 @@ async fn log_in(broker: &Arc<Broker>, name: &str, nickname: String) -> Result<Cl
         .user(name)
         .password(name)
         .nickname(nickname)
-        // Of one process: there is no link to fall silent, and a machine that is busy for a moment is no loss.
+        // Of one process: there is no link to fall silent, and a machine that is busy for a moment is not a loss.
         .no_reconnect();
     builder.connect().await.doing(format!("log in as {name}"))
 }

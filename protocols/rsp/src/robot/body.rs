@@ -12,7 +12,7 @@ pub trait Body {
     fn random(&mut self, bytes: &mut [u8]);
 
     /// The motion filter has a new output (S12), one each period and never two within 7/8 of it: of an absolute effector its value, of an
-    /// incremental one the step. Nothing new is no call: hold. When nobody commands the effector, its safe value, at once.
+    /// incremental one the step. Nothing new is not a call: hold. When nobody commands the effector, its safe value, at once.
     fn effector(&mut self, element: u8, value: &[u8]);
 
     /// Executes a command or a memory command: once for each id (S19, S20).

@@ -255,7 +255,7 @@ async fn wrong_passwords_keep_neither_the_right_one_nor_a_key_out() {
         .expect_err("never here before");
     assert_eq!(error.code, Code::TRY_LATER);
     house.canary.check().await;
-    // That is no licence: guesses there have a bound of their own.
+    // That is not a licence: guesses there have a bound of their own.
     guess_as_much_as_one_may(&house, home, &["alice"]).await;
     house.close().await;
 }
@@ -303,7 +303,7 @@ async fn a_storm_of_hashing_keeps_known_places_open() {
     house.close().await;
 }
 
-/// Who is refused hears why, in a parcel like any other of the hub: the close is no reset, which would overtake it where
+/// Who is refused hears why, in a parcel like any other of the hub: the close is not a reset, which would overtake it where
 /// a peer has sent what nobody has read.
 #[tokio::test(flavor = "multi_thread")]
 async fn who_finds_no_place_hears_why() {

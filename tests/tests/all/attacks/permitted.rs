@@ -29,7 +29,7 @@ async fn attack(attack: Attack, rounds: u64) -> Attackers {
         assert!(attackers.times(word) > 0, "{word}: {:?}", attackers.heard());
     }
     let others = attackers.heard().keys();
-    // Who is put off when it joins is no member that could leave.
+    // Who is put off when it joins is not a member that could leave.
     let others: Vec<_> = others
         .filter(|word| !["try-later", "not-member"].contains(&word.as_str()))
         .filter(|word| !attack.hears().contains(&word.as_str()))

@@ -76,7 +76,7 @@ async fn disturb(clients: [&Client; 2], said: i64) {
     }
 }
 
-/// It is no number, which would be heard.
+/// It is not a number, which would be heard.
 fn between(name: &str) -> Parcel {
     let mut parcel = Parcel::new(Family::Message, name).context(path("/chat"));
     parcel.delivery = (name != "stop").then_some(Delivery::Fleeting);

@@ -200,7 +200,7 @@ pub(super) async fn short_and_long(mut world: World) {
         let bytes = [head.as_bytes(), body.as_bytes(), &entity(&body)].concat();
         let mut attacker = world.attacker(Form::Xml).await;
         attacker.send(&bytes).await;
-        // The entity that was cut is malformed, and what follows is no header.
+        // The entity that was cut is malformed, and what follows is not a header.
         let first = attacker.next_error().await;
         assert_eq!(
             first.code.word(),

@@ -76,7 +76,7 @@ async fn threat_20_renewed_or_expired() {
             assert_eq!(info.get("owner").is_some(), renewed, "{when:?}: {info:?}");
             match (&answer, when) {
                 (Ok(grant), When::Before | When::Racing) => {
-                    assert_eq!(fence_of(&grant.value()), fence, "a renewal is no new grant");
+                    assert_eq!(fence_of(&grant.value()), fence, "a renewal is not a new grant");
                     // It is a whole lease: to its last millisecond the token is held.
                     clock.advance(LEASE - 2 * MILLI);
                     alice.ask(about("release")).await.expect("she still owns it");

@@ -66,7 +66,7 @@ async fn threat_12_nicknames() {
     assert_eq!(world.end().await.count(&refused), tried);
 }
 
-/// Threat 12: a user's look-alike is no user, and no token of guessing who is.
+/// Threat 12: a user's look-alike is not a user, and no token of guessing who is.
 #[tokio::test]
 async fn threat_12_users() {
     let world = World::start_with(|config| {

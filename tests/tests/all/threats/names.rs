@@ -111,7 +111,7 @@ async fn threat_11_look_alikes_lead_nowhere() {
     let world = World::start().await;
     for form in Form::ALL {
         let mut bob = Raw::login(world.address(), form, "bob").await;
-        // Capitals and dots: paths, but of nothing. What cannot be told from another by the eye is no path at all.
+        // Capitals and dots: paths, but of nothing. What cannot be told from another by the eye is not a path at all.
         for path in ["/CHAT", "/Chat", "/chat.", "/chat/x"] {
             let error = bob
                 .ask_about(Family::Context, "join", path)

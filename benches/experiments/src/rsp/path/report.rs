@@ -231,7 +231,7 @@ fn plot(rows: &[Row], label: &str, factor: impl Fn(&Row) -> Option<f64>) -> Stri
             })
             .collect();
         line.sort_by(|one, other| one.0.total_cmp(&other.0));
-        // One point is no line.
+        // One point is not a line.
         if line.len() > 1 {
             plot.with(Series::line(arm.name, line))
         } else {

@@ -29,7 +29,7 @@ fn of_a_robot_that_floods_no_more_is_read_than_the_rate_and_it_is_left_for_long(
         "{read}, {wakes}"
     );
     assert!(circuit.next_wake().unwrap() >= now + 8 * SECOND, "not at once");
-    // Who says much at once, and then goes on in order, is no flood.
+    // Who says much at once, and then goes on in order, is not a flood.
     let mut circuit = writable();
     circuit.take(SECOND, Input::Bytes(&[b'5'; 4096]));
     circuit.take(10 * SECOND, Input::Bytes(&[b'5'; 100]));

@@ -157,7 +157,7 @@ fn a_burst_may_wait_for_a_while_and_no_longer() {
     assert_eq!(
         push(&mut queue, 1, Delivery::Latest),
         [Taken::Dropped],
-        "it is no place for others"
+        "it is not a place for others"
     );
     clock.advance(Duration::from_millis(4999));
     pop(&mut queue, 0);

@@ -69,7 +69,7 @@ async fn threat_18_foreign_origins() {
     world.end().await;
 }
 
-/// Those that are on the list, those of this machine at the hub's own port, and who is no page at all.
+/// Those that are on the list, those of this machine at the hub's own port, and who is not a page at all.
 #[tokio::test]
 async fn threat_18_origins_that_may() {
     let world = world().await;

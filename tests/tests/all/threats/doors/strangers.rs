@@ -112,7 +112,7 @@ async fn to_the_end(mut asking: Asking) -> String {
     }
 }
 
-/// Threats 4 and 28: an upgrade is no login, and neither is a tunnel.
+/// Threats 4 and 28: an upgrade is not a login, and neither is a tunnel.
 #[tokio::test]
 async fn threat_28_upgrades_and_tunnels_without_a_login() {
     let mut world = world().await;

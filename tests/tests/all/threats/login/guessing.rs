@@ -147,7 +147,7 @@ async fn threat_15_guessing_from_a_thousand_addresses() {
     world.end().await;
 }
 
-/// A place that the user knows is no place to guess from, and who guesses there hinders nobody else's login.
+/// A place that the user knows is not a place to guess from, and who guesses there hinders nobody else's login.
 #[tokio::test]
 async fn threat_15_guessing_beside_the_right_user() {
     let clock = clock();
@@ -189,14 +189,14 @@ async fn threat_15_other_failures_count_too() {
     assert!(guess(&mut eve, "alice").await.is_some());
     let asked = challenge(&mut eve, "bob").await.expect("a challenge");
     let right = eve.ask(DeviceKey::number(1).answer(&asked, "bob")).await;
-    right.expect("who has the key is no guesser");
+    right.expect("who has the key is not a guesser");
     // Bob's password is not concerned: nothing of his was guessed.
     let mut bob = from(&world, 1).await;
     password(&mut bob, "bob", "bob").await.expect("bob");
     world.end().await;
 }
 
-/// What is no login counts for its address as a wrong one does, though it costs no hash.
+/// What is not a login counts for its address as a wrong one does, though it costs no hash.
 #[tokio::test]
 async fn threat_15_logins_that_cannot_be_read_count_too() {
     let clock = clock();
@@ -284,7 +284,7 @@ async fn threat_16_logins_at_once() {
     assert!(stats.most <= Config::default().login.hashers, "{stats:?}");
     assert_eq!(stats.hashing, 0);
     if let Some(mut peer) = put_off {
-        // Being put off is no failure: the connection is as it was.
+        // Being put off is not a failure: the connection is as it was.
         peer.ask(Parcel::new(Family::Time, "ping")).await.expect("a pong");
         password(&mut peer, "bob", "bob").await.expect("later");
     }

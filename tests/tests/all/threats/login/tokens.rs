@@ -36,7 +36,7 @@ fn with_secret(secret: &[u8]) -> String {
     .expect("claims are JSON")
 }
 
-/// What is no token, or not the issuer's.
+/// What is not a token, or not the issuer's.
 fn forged(issuer: &Issuer) -> Vec<(&'static str, String)> {
     let good = issuer.sign(&right());
     let (message, signature) = good.rsplit_once('.').expect("three parts");
