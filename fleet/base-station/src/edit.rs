@@ -2,11 +2,16 @@
 
 use std::io::Write as _;
 use std::path::Path;
+use std::time::{Duration, Instant};
 use std::{fs, io};
 
 use toml_edit::{ArrayOfTables, DocumentMut, Item, Table, Value, value};
 
 use crate::fleet::{Address, Fleet, FleetError, Robot, Unit};
+
+/// So long another program may have the lock: an edit takes milliseconds.
+const LOCK: Duration = Duration::from_secs(3);
+const LOOK_AGAIN: Duration = Duration::from_millis(20);
 
 /// What is to be changed.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -196,8 +201,6 @@ pub enum ChangeError {
 ///
 /// A file that cannot be read, locked or written; a file that is wrong, or would be.
 pub fn change(path: &Path, edit: &Edit) -> Result<Fleet, ChangeError> {
-    /// More than the longest file that says anything.
-    const MOST: u64 = 16 << 20;
     let failed = |what: &str| {
         let text = format!("cannot {what} {}", path.display());
         move |error| ChangeError::File(text, error)
@@ -205,23 +208,53 @@ pub fn change(path: &Path, edit: &Edit) -> Result<Fleet, ChangeError> {
     // The file itself is replaced, so its folder is locked.
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let lock = fs::File::open(folder.unwrap_or(Path::new(".")));
-    let lock = lock.and_then(|folder| folder.lock().map(|()| folder));
+    let lock = lock.and_then(|folder| lock_within(&folder, LOCK).map(|()| folder));
     let _lock = lock.map_err(failed("lock the folder of"))?;
     let text = match edit {
         Edit::Add(_) if !path.exists() => String::new(),
-        _ => {
-            let length = fs::metadata(path).map_err(failed("read"))?.len();
-            if length > MOST {
-                let error = io::Error::new(io::ErrorKind::FileTooLarge, format!("it has {length} bytes"));
-                return Err(failed("read")(error));
-            }
-            fs::read_to_string(path).map_err(failed("read"))?
-        }
+        _ => read(path).map_err(failed("read"))?,
     };
     let text = edit.apply(&text).map_err(ChangeError::Edit)?;
     let fleet = Fleet::parse(&text).map_err(|error| ChangeError::Edit(EditError::After(error)))?;
     replace(path, &text).map_err(failed("write"))?;
     Ok(fleet)
+}
+
+/// The text of a fleet's file.
+///
+/// # Errors
+///
+/// What the system says; what is not a file, as a pipe or a device need not end; more than the longest file that says anything.
+pub fn read(path: &Path) -> io::Result<String> {
+    const MOST: u64 = 16 << 20;
+    let known = fs::metadata(path)?;
+    if !known.is_file() {
+        return Err(io::Error::new(
+            io::ErrorKind::InvalidInput,
+            "it is not a regular file",
+        ));
+    }
+    if known.len() > MOST {
+        let text = format!("it has {} bytes, and a fleet's file {MOST} at most", known.len());
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, text));
+    }
+    fs::read_to_string(path)
+}
+
+/// Locks, as soon as nobody else has the lock.
+fn lock_within(folder: &fs::File, most: Duration) -> io::Result<()> {
+    let until = Instant::now() + most;
+    loop {
+        match folder.try_lock() {
+            Ok(()) => return Ok(()),
+            Err(fs::TryLockError::WouldBlock) if Instant::now() < until => std::thread::sleep(LOOK_AGAIN),
+            Err(fs::TryLockError::WouldBlock) => {
+                let text = format!("another program has had the lock for {} s", most.as_secs());
+                return Err(io::Error::new(io::ErrorKind::WouldBlock, text));
+            }
+            Err(fs::TryLockError::Error(error)) => return Err(error),
+        }
+    }
 }
 
 /// Writes a file whole or not at all; who may read it stays, and where a link leads.

@@ -211,6 +211,17 @@ impl Crew {
             .filter(|unit| !stay.contains(unit))
             .copied()
             .collect();
+        // Those that are at another number, or nowhere, afterwards. A change of the group alone keeps the channel, and so its stop.
+        let moved: Vec<u32> = (left.iter().copied())
+            .filter(|unit| {
+                let entry = fleet.robots().iter().find(|robot| robot.unit == *unit);
+                entry.map(|robot| &robot.address) != known.get(unit).map(|robot| &robot.address)
+            })
+            .collect();
+        if let Err(why) = self.may_move(&known, &moved).await {
+            tracing::error!("the fleet's file is not taken over: {why}; then send SIGHUP again");
+            return false;
+        }
         for unit in &left {
             let why = match again.contains(unit) {
                 true => "its entry in the fleet's file has changed",
@@ -238,12 +249,50 @@ impl Crew {
                 tracing::error!(unit, "the robot may be moving: it was not told to stand in time");
             }
         }
+        // Who was stopped at the last moment stays who it was.
+        if let Err(why) = self.may_move(&known, &moved).await {
+            tracing::error!("the fleet's file is not taken over: {why}; then send SIGHUP again");
+            for robot in left.iter().filter_map(|unit| known.get(unit)) {
+                self.take_in(robot, station);
+            }
+            return false;
+        }
         for robot in &come {
             self.take_in(robot, station);
         }
         let (left, come, robots) = (left.len(), come.len(), self.len());
         tracing::info!(left, come, robots, "the fleet's file is taken over");
         true
+    }
+
+    /// Whether these robots may get other numbers: not while one is stopped, as the stop holds for its channel, and another one's would let
+    /// the robot move.
+    async fn may_move(&self, known: &BTreeMap<u32, Arc<Entry>>, units: &[u32]) -> Result<(), String> {
+        let Some(client) = self.clients.first() else {
+            return Ok(());
+        };
+        for unit in units {
+            let place = RobotSite {
+                client: client.clone(),
+                options: Arc::clone(&self.options),
+                unit: *unit,
+                group: known.get(unit).and_then(|robot| robot.group.clone()),
+            };
+            match place.stopped().await {
+                Ok(None) => {}
+                Ok(Some(stopped)) => {
+                    return Err(format!(
+                        "{stopped}, and would be free as another unit; have it let go first (`mom unstop`)"
+                    ));
+                }
+                Err(error) => {
+                    return Err(format!(
+                        "the hub does not say whether unit {unit} is stopped: {error}"
+                    ));
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Takes a robot in, through the client that has the fewest.

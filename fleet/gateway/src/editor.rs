@@ -5,19 +5,24 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use mom_base_station::edit::{Change, ChangeError, Edit, EditError, change};
 use mom_base_station::fleet::{Address, Fleet, FleetFault, Robot};
-use mom_client::{Client, ClientError, Code, Event, Family, Map, Parcel, Value, from_value};
+use mom_client::{Channel, Client, ClientError, Code, Event, Family, Map, Parcel, Value, from_value};
 use mom_device::stay;
 use serde::Deserialize;
 use tokio::sync::{mpsc, watch};
 use tokio::task::spawn_blocking;
+use tokio::time::sleep;
 
-use crate::peer::GatewayOptions;
+use crate::peer::{GatewayOptions, RobotSite};
 
 /// Edits that may wait; one of them is a person's work of seconds.
 const WAITING: usize = 32;
+
+/// So often a spare looks whether it is to edit.
+const LOOK_AGAIN: Duration = Duration::from_secs(2);
 
 /// The file that people may edit.
 #[derive(Debug)]
@@ -89,12 +94,8 @@ impl Editor {
     /// Serves people for as long as the client lives; not at all where the hub has no channel for it.
     pub(crate) async fn serve(mut self) {
         let path = self.options.file();
-        let channel = match self.client.channel_as_device(&path).await {
-            Ok(channel) => channel,
-            Err(error) => {
-                tracing::info!(%error, channel = %path, "the fleet's file is not edited from the hub");
-                return;
-            }
+        let Some(channel) = self.enter(&path).await else {
+            return;
         };
         let (sender, mut heard) = mpsc::channel(WAITING);
         let (client, again) = (self.client.clone(), sender.clone());
@@ -121,6 +122,34 @@ impl Editor {
         tokio::select! {
             () = staying => {}
             () = self.answer(&mut heard) => {}
+        }
+    }
+
+    /// Becomes the channel's device, once no other gateway is; none where there is no channel for it, or two could edit at once.
+    async fn enter(&self, path: &str) -> Option<Channel> {
+        let mut is_told = false;
+        loop {
+            let entered = match self.client.info(path).await {
+                Ok(info) if info.get("devices").and_then(Value::as_str) != Some("one") => {
+                    tracing::error!(channel = %path, "the fleet's file is not edited from the hub: its channel has to say `devices = \"one\"`, or several gateways would edit");
+                    return None;
+                }
+                Ok(_) => self.client.channel_as_device(path).await,
+                Err(error) => Err(error),
+            };
+            match entered {
+                Ok(channel) => return Some(channel),
+                Err(error) if error.code() == Some(&Code::OCCUPIED) => {
+                    if !std::mem::replace(&mut is_told, true) {
+                        tracing::info!(channel = %path, "another gateway edits the fleet's file, and this one waits");
+                    }
+                    sleep(LOOK_AGAIN).await;
+                }
+                Err(error) => {
+                    tracing::info!(%error, channel = %path, "the fleet's file is not edited from the hub");
+                    return None;
+                }
+            }
         }
     }
 
@@ -251,6 +280,9 @@ impl Editor {
                 if (to.unit, &to.address, &to.group) != (before.unit, &before.address, &before.group) {
                     self.is_free(&before, by).await?;
                 }
+                if (to.unit, &to.address) != (before.unit, &before.address) {
+                    self.may_move(&before).await?;
+                }
                 let name = to.name.as_deref().map(|name| format!(", {name}"));
                 let done = format!(
                     "unit {unit} at {was} is unit {} at {} now{}",
@@ -270,6 +302,7 @@ impl Editor {
             } => {
                 let before = self.known(unit, &was)?;
                 self.is_free(&before, by).await?;
+                self.may_move(&before).await?;
                 let done = format!("unit {unit} at {was} was removed");
                 Ok((Edit::Remove(vec![unit]), done))
             }
@@ -294,6 +327,30 @@ impl Editor {
                     robot.address
                 );
                 Err(Refused::new("stale", text))
+            }
+        }
+    }
+
+    /// A stopped robot keeps its number and address: the stop holds for its channel.
+    async fn may_move(&self, robot: &Robot) -> Result<(), Refused> {
+        let place = RobotSite {
+            client: self.client.clone(),
+            options: Arc::clone(&self.options),
+            unit: robot.unit,
+            group: robot.group.clone(),
+        };
+        match place.stopped().await {
+            Ok(None) => Ok(()),
+            Ok(Some(stopped)) => {
+                let text = format!("{stopped}, and would be free as another unit; have it let go first");
+                Err(Refused::new("stopped", text))
+            }
+            Err(error) => {
+                let text = format!(
+                    "the hub does not say whether unit {} is stopped: {error}",
+                    robot.unit
+                );
+                Err(Refused::new("try-later", text))
             }
         }
     }

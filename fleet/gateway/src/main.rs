@@ -134,5 +134,5 @@ fn options(args: &GatewayArgs) -> anyhow::Result<GatewayOptions> {
 }
 
 fn read(path: &Path) -> anyhow::Result<String> {
-    std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))
+    mom_base_station::edit::read(path).with_context(|| format!("cannot read {}", path.display()))
 }

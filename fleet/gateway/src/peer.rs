@@ -220,7 +220,23 @@ impl RobotSite {
         }
         let path = format!("{}/{unit}", options.session);
         let token = options.token(*unit, group.as_deref());
-        enter(client, &path, &token, options.manager.as_deref()).await
+        let enter = || enter(client, &path, &token, options.manager.as_deref());
+        let channel = enter().await?;
+        let Some(other) = channel
+            .guard()
+            .map(|guard| guard.token)
+            .filter(|other| other.as_str() != token)
+        else {
+            return Ok(channel);
+        };
+        // It was made when the robot was in another group: whoever held that token would drive it.
+        match client.delete(channel.path().as_str()).await {
+            Ok(()) => enter().await,
+            Err(error) => {
+                tracing::warn!(unit, guard = %other, token, %error, "the robot's channel has another token than the fleet's file says, and cannot be made anew");
+                Ok(channel)
+            }
+        }
     }
 
     /// Leaves the robot's contexts; a hub that does not answer is not waited for long.
@@ -231,6 +247,23 @@ impl RobotSite {
             Ok(Ok(())) => {}
             Ok(Err(error)) => tracing::warn!(unit = self.unit, %error, "the robot's contexts were not left"),
             Err(_) => tracing::warn!(unit = self.unit, "the robot's contexts were not left in time"),
+        }
+    }
+
+    /// By whom, and why, the robot is stopped; the hub keeps that by the path of its channel, so another path is not stopped.
+    pub(crate) async fn stopped(&self) -> Result<Option<String>, ClientError> {
+        match self.client.stops(&self.options.channel(self.unit)).await {
+            Ok(state) if state.stopped || !state.only.is_empty() => {
+                let by = state.by.unwrap_or_else(|| "somebody".to_owned());
+                let reason = state
+                    .reason
+                    .map(|reason| format!(" ({reason})"))
+                    .unwrap_or_default();
+                Ok(Some(format!("unit {} is stopped by {by}{reason}", self.unit)))
+            }
+            Ok(_) => Ok(None),
+            Err(error) if error.code() == Some(&Code::UNKNOWN_PATH) => Ok(None),
+            Err(error) => Err(error),
         }
     }
 

@@ -116,12 +116,7 @@ fn part(fleet: &Fleet, units: &[Unit]) -> Result<Fleet> {
 }
 
 fn read(path: &Path) -> Result<String> {
-    /// More than the longest file that says anything.
-    const MOST: u64 = 16 << 20;
-    let name = || path.display().to_string();
-    let length = fs::metadata(path).with_context(name)?.len();
-    ensure!(length <= MOST, "{} is too long: {length} bytes", path.display());
-    fs::read_to_string(path).with_context(name)
+    mom_base_station::edit::read(path).with_context(|| path.display().to_string())
 }
 
 /// Stops all robots that were set in motion, and closes the connections.
