@@ -110,13 +110,21 @@ pub(crate) fn check(marked: &str, key: &str, words: &str) {
 
 #[test]
 fn wrong_keys_and_types() {
-    check("log = \"info\"\n¦listne = []\n", "listne", "did you mean `listen`?");
+    check(
+        "log = \"info\"\n¦listne = []\n",
+        "listne",
+        "did you mean `listen`?",
+    );
     check(
         "[limits]\n¦parcels = 1\n",
         "limits.parcels",
         "did you mean `parcel`?",
     );
-    check("[login]\n¦hashes = 1\n", "login.hashes", "did you mean `hashers`?");
+    check(
+        "[login]\n¦hashes = 1\n",
+        "login.hashes",
+        "did you mean `hashers`?",
+    );
     check("¦listen = 7666\n", "listen", "a list in brackets, not 7666");
     check(
         "¦connections = \"many\"\n",
@@ -176,7 +184,11 @@ fn the_store_is_a_directory() {
         "store.path",
         "a text in quotes, not a number without them",
     );
-    check("[store]\n¦paht = \"state\"\n", "store.paht", "did you mean `path`?");
+    check(
+        "[store]\n¦paht = \"state\"\n",
+        "store.paht",
+        "did you mean `path`?",
+    );
 }
 
 #[test]
@@ -280,7 +292,11 @@ fn listeners_that_contradict_themselves() {
         ("takes = \"xml\"", "takes", "a list in brackets"),
         ("tls = \"required\"", "tls", "there is no certificate"),
         ("tls = true", "tls", "\"allowed\", \"required\", \"refused\""),
-        ("proxies = []", "proxies", "there are `address`, `takes`, `tls`, `proxy`"),
+        (
+            "proxies = []",
+            "proxies",
+            "there are `address`, `takes`, `tls`, `proxy`",
+        ),
         ("proxy = [\"10.0.0.0/33\"]", "proxy", "no address or network"),
         (
             "proxy = [\"::1\", \"localhost\"]",
