@@ -411,4 +411,21 @@ address = \"10.0.0.2:4000\"
         assert!(fs::symlink_metadata(&link).expect("it is there").is_symlink());
         assert_eq!(fs::read_dir(folder.path()).expect("it is there").count(), 2);
     }
+
+    #[test]
+    fn what_need_not_end_is_not_read_and_a_held_lock_is_not_waited_for_long() {
+        let error = read(Path::new("/dev/zero")).expect_err("it has no end");
+        assert!(error.to_string().contains("not a regular file"), "{error}");
+        let folder = tempfile::tempdir().expect("a folder");
+        let open = || fs::File::open(folder.path()).expect("it is there");
+        let held = open();
+        held.lock().expect("nobody else has it");
+        let error = lock_within(&open(), Duration::from_millis(30)).expect_err("it is held");
+        assert!(
+            error.to_string().contains("another program has had the lock"),
+            "{error}"
+        );
+        drop(held);
+        lock_within(&open(), Duration::from_millis(30)).expect("it is free");
+    }
 }

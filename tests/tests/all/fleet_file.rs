@@ -455,3 +455,115 @@ async fn an_edit_takes_no_robot_out_of_anybodys_hands() {
     alice.close().await;
     carol.client.close().await;
 }
+
+/// A stop holds for its channel: a stopped robot becomes no other unit, by no edit and by no file that is taken over.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stopped_robot_becomes_no_other_unit() {
+    let lab = FleetLab::start();
+    let mut carol = Operator::at(&lab.hub).await;
+    carol.robots(3).await;
+    let path = Path::parse("/fleet/1/robot").expect("a path");
+    carol.client.stop(path.as_str()).await.expect("operators may");
+    let change = |to: Map| {
+        Map::new()
+            .with("change", 1)
+            .with("was", lab.at[0].as_str())
+            .with("to", to)
+    };
+    for edit in [
+        change(entry(11, &lab.at[0])),
+        change(entry(1, &lab.at[4])),
+        Map::new().with("remove", 1).with("was", lab.at[0].as_str()),
+    ] {
+        let said = carol.edit(edit).await;
+        assert_eq!(word(&said, "name"), Some("stopped"), "{said:?}");
+        let text = word(&said, "text").unwrap_or_default();
+        assert!(text.contains("unit 1 is stopped by carol"), "{text}");
+    }
+    let said = carol.edit(change(entry(1, &lab.at[0]).with("name", "Bob"))).await;
+    assert_eq!(
+        said.get("ok"),
+        Some(&true.into()),
+        "its name is nothing to it: {said:?}"
+    );
+
+    let log = lab.folder.path().join("log");
+    let edited = lab.file().replace("unit = 1\n", "unit = 11\n");
+    std::fs::write(lab.folder.path().join("fleet.toml"), edited).expect("it is written");
+    lab.gateway.signal("HUP");
+    let refused = logged(&log, "the fleet's file is not taken over");
+    assert!(refused.contains("unit 1 is stopped by carol"), "{refused}");
+    row(&lab.hub, 1, |row| row["linked"] == true);
+
+    let number = carol
+        .client
+        .stops(path.as_str())
+        .await
+        .expect("she is told")
+        .number;
+    carol
+        .client
+        .unstop(path.as_str(), [(&path, number)])
+        .await
+        .expect("operators may");
+    lab.gateway.signal("HUP");
+    row(&lab.hub, 11, |row| row["linked"] == true);
+    carol.client.close().await;
+}
+
+/// Who drives a robot by its group's token does so from the moment on in which the robot is in the group.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_change_of_the_group_changes_whose_token_guards() {
+    let lab = FleetLab::start();
+    let mut carol = Operator::at(&lab.hub).await;
+    carol.robots(3).await;
+    let to = entry(2, &lab.at[1]).with("group", "scouts");
+    let said = carol
+        .edit(
+            Map::new()
+                .with("change", 2)
+                .with("was", lab.at[1].as_str())
+                .with("to", to),
+        )
+        .await;
+    assert_eq!(said.get("ok"), Some(&true.into()), "{said:?}");
+    let until = Instant::now() + PATIENCE;
+    loop {
+        let info = carol.client.info("/fleet/2/robot").await;
+        let guard = info.ok().and_then(|info| info.get("guard").cloned());
+        if guard
+            .as_ref()
+            .is_some_and(|guard| word(guard, "token") == Some("/fleet/scouts/token"))
+        {
+            break;
+        }
+        assert!(Instant::now() < until, "{guard:?}");
+    }
+    row(&lab.hub, 2, |row| row["linked"] == true);
+    let (succeeded, said) = drive(&lab.hub, "2", "leds 255").join().expect("it has ended");
+    assert!(succeeded, "{said}");
+    carol.client.close().await;
+}
+
+/// A spare gateway edits nothing before the first is gone.
+#[tokio::test(flavor = "multi_thread")]
+async fn one_of_two_gateways_edits() {
+    let lab = FleetLab::start();
+    let mut carol = Operator::at(&lab.hub).await;
+    carol.robots(3).await;
+    let spare = tempfile::tempdir().expect("a folder");
+    std::fs::write(spare.path().join("fleet.toml"), lab.file()).expect("it is written");
+    let _spare = FleetLab::gateway(&spare, &lab.hub);
+    logged(
+        &spare.path().join("log"),
+        "another gateway edits the fleet's file",
+    );
+    let said = carol.edit(Map::new().with("add", entry(4, &lab.at[3]))).await;
+    assert_eq!(said.get("ok"), Some(&true.into()), "{said:?}");
+    assert_eq!(carol.robots(4).await.len(), 4);
+    let of_spare = std::fs::read_to_string(spare.path().join("fleet.toml")).expect("it is there");
+    assert!(!of_spare.contains(&lab.at[3]), "{of_spare}");
+    lab.gateway.signal("TERM");
+    assert_eq!(carol.robots(3).await.len(), 3, "the spare tells its own file");
+    carol.client.close().await;
+}
