@@ -34,7 +34,7 @@ pub(super) fn owning(member: &Membership) -> (AnswerTo, Answered<TokenGuard>) {
 pub(super) fn inhibiting(member: &Membership) -> (AnswerTo, Answered<InhibitGuard>) {
     let (sender, receiver) = oneshot::channel();
     let member = member.clone();
-    let take = |_, answer| drop(sender.send(shared_by(member, answer)));
+    let take = |_, answer| drop(sender.send(inhibited(member, answer)));
     (AnswerTo::taker(take), receiver)
 }
 
@@ -54,7 +54,7 @@ fn granted(member: Membership, id: Option<u64>, answer: RequestResult) -> Result
     hold.map(|hold| TokenGuard::new(hold, member))
 }
 
-fn shared_by(member: Membership, answer: RequestResult) -> Result<InhibitGuard, ClientError> {
+fn inhibited(member: Membership, answer: RequestResult) -> Result<InhibitGuard, ClientError> {
     let (shared, path) = (member.shared(), member.path());
     let mut state = shared.lock();
     let hold = answer.map(|_| state.inhibits.hold(path, GrantTerms::default(), Instant::now()));

@@ -9,6 +9,7 @@ use tokio::time::Instant;
 use crate::peer::holds::HoldingKind;
 use crate::peer::pending::{AnswerTo, RequestResult};
 use crate::peer::shared::Shared;
+use crate::peer::state::State;
 use crate::peer::wanted::JoinPhase;
 use crate::said::ownership::RenewalTerms;
 use crate::words::map_of;
@@ -116,7 +117,7 @@ impl Shared {
     }
 }
 
-impl crate::peer::state::State {
+impl State {
     /// One join after a lost link is answered.
     fn note_rejoin(&mut self) {
         self.rejoining = self.rejoining.saturating_sub(1);
