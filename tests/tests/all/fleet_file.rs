@@ -463,7 +463,12 @@ async fn a_stopped_robot_becomes_no_other_unit() {
     let mut carol = Operator::at(&lab.hub).await;
     carol.robots(3).await;
     let path = Path::parse("/fleet/1/robot").expect("a path");
-    carol.client.stop(path.as_str()).await.expect("operators may");
+    carol
+        .client
+        .stop(path.as_str())
+        .send()
+        .await
+        .expect("operators may");
     let change = |to: Map| {
         Map::new()
             .with("change", 1)
@@ -504,6 +509,7 @@ async fn a_stopped_robot_becomes_no_other_unit() {
     carol
         .client
         .unstop(path.as_str(), [(&path, number)])
+        .send()
         .await
         .expect("operators may");
     lab.gateway.signal("HUP");

@@ -1,7 +1,7 @@
 //! Which rooms of a package may use which. A room is a folder or a file directly under `src/`; each may use itself and
 //! the rooms after it in the list, so that there is no circle and a reader can begin at the end.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::{Context as _, Result, ensure};
 
@@ -104,8 +104,50 @@ fn check_rooms(table: &[(&str, &[&str])], tree: &Tree, report: &mut Report<'_>) 
         let house = House::of(tree, package, folder, order)?;
         house.check(report);
     }
+    for (package, folder) in &folders {
+        if table.iter().any(|(listed, _)| listed == package) {
+            continue;
+        }
+        if let Ok(house) = House::of(tree, package, folder, &[])
+            && house.lines() > SMALL
+        {
+            match (house.circles(), CIRCLES_LEFT.contains(&package.as_str())) {
+                (circles, false) => circles
+                    .into_iter()
+                    .for_each(|text| report(&house.manifest, 1, text)),
+                (circles, true) if circles.is_empty() => {
+                    report(
+                        &house.manifest,
+                        1,
+                        format!("no rooms of {package} are a circle: take it out of CIRCLES_LEFT"),
+                    );
+                }
+                _ => {}
+            }
+        }
+    }
     Ok(())
 }
+
+/// A package of no more lines is one room.
+const SMALL: usize = 2000;
+
+/// Packages whose rooms still use each other in circles. None may come, and one without a circle is to leave.
+const CIRCLES_LEFT: &[&str] = &[
+    "mom",
+    "mom-arm",
+    "mom-camera",
+    "mom-config",
+    "mom-device",
+    "mom-gateway",
+    "mom-login",
+    "mom-managers",
+    "mom-proto",
+    "mom-rsp",
+    "mom-rsp-model",
+    "mom-wheels",
+    "xtask",
+];
 
 /// One package.
 struct House<'a> {
@@ -180,6 +222,50 @@ impl<'a> House<'a> {
                 report(&self.manifest, 1, text);
             }
         }
+    }
+
+    fn lines(&self) -> usize {
+        self.files.iter().map(|(_, _, text)| text.lines().count()).sum()
+    }
+
+    /// Each set of rooms that use each other, in words.
+    fn circles(&self) -> Vec<String> {
+        let mut circles = Vec::new();
+        let mut uses: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
+        for (_, place, text) in &self.files {
+            let Some(place) = place else { continue };
+            let used = self.used(text, place.depth).into_iter().map(|(_, room)| room);
+            uses.entry(&place.room).or_default().extend(used);
+        }
+        let reaches = |from: &str| {
+            let (mut seen, mut open) = (BTreeSet::new(), vec![from.to_owned()]);
+            while let Some(room) = open.pop() {
+                for next in uses.get(room.as_str()).into_iter().flatten() {
+                    if uses.contains_key(next.as_str()) && seen.insert(next.clone()) {
+                        open.push(next.clone());
+                    }
+                }
+            }
+            seen
+        };
+        let reached: BTreeMap<&str, BTreeSet<String>> =
+            uses.keys().map(|room| (*room, reaches(room))).collect();
+        let mut told = BTreeSet::new();
+        for (room, from_there) in &reached {
+            let circle: Vec<&str> = (from_there.iter().map(String::as_str))
+                .filter(|other| other != room && reached.get(other).is_some_and(|back| back.contains(*room)))
+                .collect();
+            if !circle.is_empty() && told.insert(*room) {
+                told.extend(&circle);
+                let text = format!(
+                    "`{room}` of {} and {} use each other: a room uses only those below it",
+                    self.package,
+                    circle.join(", ")
+                );
+                circles.push(text);
+            }
+        }
+        circles
     }
 
     fn text_of(&self, path: &str) -> &str {
@@ -435,6 +521,26 @@ mod tests {
             found[0].ends_with("p/Cargo.toml:1: ROOMS names `middle`, which demo does not have"),
             "{found:?}"
         );
+    }
+
+    #[test]
+    fn rooms_that_use_each_other_are_found_in_any_large_package() {
+        let check: Check = |tree, report| check_rooms(&[], tree, report);
+        let long = "\n".repeat(SMALL);
+        let found = |low: &str| {
+            let low = format!("{low}{long}");
+            let files = [
+                ("p/Cargo.toml", "[package]\nname = \"demo\"\n"),
+                ("p/src/lib.rs", "mod top;\nmod middle;\nmod low;"),
+                ("p/src/top.rs", "use crate::middle;"),
+                ("p/src/middle.rs", "use crate::low;"),
+                ("p/src/low.rs", low.as_str()),
+            ];
+            found(check, &files)
+        };
+        assert_eq!(found("use other::top;"), [] as [&str; 0]);
+        let circle = "`low` of demo and middle, top use each other: a room uses only those below it";
+        assert_eq!(found("use crate::top;"), [format!("p/Cargo.toml:1: {circle}")]);
     }
 
     #[test]
