@@ -13,6 +13,7 @@
 //! - Doubles are written in the shortest form that reads back equal; `INF` and `NaN` do not exist.
 //! - A multipart body has no preamble and no epilogue but one CR LF; delimiters end in CR LF.
 
+mod attributes;
 mod head;
 mod lexeme;
 mod multipart;
@@ -22,7 +23,11 @@ mod text;
 mod write;
 
 #[cfg(test)]
+mod old;
+#[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod versus;
 
 use bytes::{Buf, Bytes, BytesMut};
 
