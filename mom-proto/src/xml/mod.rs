@@ -23,11 +23,7 @@ mod text;
 mod write;
 
 #[cfg(test)]
-mod old;
-#[cfg(test)]
 mod tests;
-#[cfg(test)]
-mod versus;
 
 use bytes::{Buf, Bytes, BytesMut};
 
