@@ -185,7 +185,8 @@ impl BinaryDecoder {
     fn parcel(&mut self, frame: &Bytes) -> Result<Frame, WireError> {
         let bounds = self.bounds();
         let mut parcel = match header::read(frame, bounds, &mut self.names) {
-            Ok(parcel) => parcel,
+            // At once: later the compiler may copy it once more on the way.
+            Ok(parcel) => Box::new(parcel),
             Err((reference, error)) => return Ok(Frame::Malformed { reference, error }),
         };
         if let Some(number) = parcel.number.filter(|_| self.bind) {
@@ -197,7 +198,7 @@ impl BinaryDecoder {
                 },
             }
         }
-        Ok(Frame::Parcel(Box::new(parcel)))
+        Ok(Frame::Parcel(parcel))
     }
 }
 

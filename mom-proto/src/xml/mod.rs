@@ -13,6 +13,7 @@
 //! - Doubles are written in the shortest form that reads back equal; `INF` and `NaN` do not exist.
 //! - A multipart body has no preamble and no epilogue but one CR LF; delimiters end in CR LF.
 
+mod attributes;
 mod head;
 mod lexeme;
 mod multipart;

@@ -258,7 +258,11 @@ fn check_blank(raw: &str, position: usize) -> Result<(), WireError> {
 
 fn not_closed(tag: &Tag<'_>, found: &Lexeme<'_>, position: usize) -> WireError {
     let found = match found {
-        Lexeme::Close(name) => format!("</{}>", brief(name)),
+        // The reader lets an end tag have attributes, with > between their quotes.
+        Lexeme::Close(name) => {
+            let name = name.split('>').next().unwrap_or_default();
+            format!("</{}>", brief(name.trim_end_matches([' ', '\t', '\r', '\n'])))
+        }
         _ => "the end".to_owned(),
     };
     bad(
