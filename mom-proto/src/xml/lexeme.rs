@@ -60,7 +60,7 @@ impl<'a> Lexemes<'a> {
     pub(super) fn new(text: &'a str, base: usize, limits: &'a Limits) -> Result<Lexemes<'a>, WireError> {
         let mut reader = Reader::from_str(text);
         let config = reader.config_mut();
-        // The grammar compares names itself, with what it has opened, and what is text between tags, too.
+        // The grammar compares names itself, with what it has opened, and refuses any reference between tags.
         config.check_end_names = false;
         config.allow_unmatched_ends = true;
         config.allow_dangling_amp = true;
