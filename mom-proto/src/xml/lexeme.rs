@@ -21,7 +21,7 @@ pub(super) enum Lexeme<'a> {
     Open(Tag<'a>),
     /// `</name>`; what is no name is no start tag's either.
     Close(&'a str),
-    /// Characters, or a reference. What stands between two tags may come in several pieces.
+    /// Characters, or a reference, between two tags; maybe in several pieces.
     Text(&'a str),
     /// Nothing more.
     End,
@@ -60,7 +60,7 @@ impl<'a> Lexemes<'a> {
     pub(super) fn new(text: &'a str, base: usize, limits: &'a Limits) -> Result<Lexemes<'a>, WireError> {
         let mut reader = Reader::from_str(text);
         let config = reader.config_mut();
-        // The grammar compares names itself, with what it has opened, and references are resolved with their text.
+        // The grammar compares names itself, with what it has opened, and refuses any reference between tags.
         config.check_end_names = false;
         config.allow_unmatched_ends = true;
         config.allow_dangling_amp = true;
@@ -77,11 +77,6 @@ impl<'a> Lexemes<'a> {
     /// Where the next lexeme begins, in the body.
     pub(super) fn position(&self) -> usize {
         self.base + self.offset()
-    }
-
-    /// The raw text from one position of the body to another.
-    pub(super) fn between(&self, start: usize, end: usize) -> &'a str {
-        &self.text[start - self.base..end - self.base]
     }
 
     /// The next lexeme.
@@ -101,17 +96,26 @@ impl<'a> Lexemes<'a> {
         }
     }
 
-    /// The text of the element `name`, whose start tag was the last lexeme, if its end tag is the next one; the next
-    /// lexeme follows after that.
-    pub(super) fn text_of(&mut self, name: &str) -> Option<&'a str> {
+    /// The text after a start tag, up to the next tag. The reader does not see it: it would give an event for each `&`,
+    /// some hundred times the work.
+    pub(super) fn text(&mut self) -> &'a str {
         let rest = &self.text[self.offset()..];
-        let text = &rest[..memchr::memchr(b'<', rest.as_bytes())?];
-        let after = rest[text.len()..].strip_prefix("</")?.strip_prefix(name)?;
-        let after = after.strip_prefix('>')?;
-        // Two events less for nearly each element. The reader then keeps the name and a number of each, which is in
-        // proportion to the text, and less than the values that are read.
-        self.reader.stream().consume(rest.len() - after.len());
-        Some(text)
+        let length = memchr::memchr(b'<', rest.as_bytes()).unwrap_or(rest.len());
+        self.reader.stream().consume(length);
+        &rest[..length]
+    }
+
+    /// Whether `</name>` is what follows, which is read then.
+    pub(super) fn closes(&mut self, name: &str) -> bool {
+        let rest = &self.text[self.offset()..];
+        let inner = rest.strip_prefix("</").and_then(|rest| rest.strip_prefix(name));
+        let closes = inner.is_some_and(|rest| rest.starts_with('>'));
+        if closes {
+            // An event less for nearly each element. The reader then keeps the name and a number of each, which is in
+            // proportion to the text, and less than the values that are read.
+            self.reader.stream().consume(name.len() + "</>".len());
+        }
+        closes
     }
 
     // What the reader has left is more reliable than what it counts, which is beyond a tag that does not end.

@@ -217,21 +217,17 @@ impl<'a> ParcelReader<'a, '_> {
         if tag.empty {
             return Ok((Cow::Borrowed(""), start));
         }
-        if let Some(raw) = self.tokens.text_of(tag.name) {
-            return Ok((unescape(raw, start, TextKind::Element)?, start));
-        }
-        loop {
+        let raw = self.tokens.text();
+        if !self.tokens.closes(tag.name) {
             let position = self.tokens.position();
             match self.tokens.next()? {
-                Lexeme::Text(_) => {}
-                Lexeme::Close(name) if name == tag.name => {
-                    let raw = self.tokens.between(start, position);
-                    return Ok((unescape(raw, start, TextKind::Element)?, start));
-                }
+                // With blanks after the name.
+                Lexeme::Close(name) if name == tag.name => {}
                 Lexeme::Open(_) => return Err(bad(position, "a value of this type has no elements in it")),
                 token => return Err(not_closed(tag, &token, position)),
             }
         }
+        Ok((unescape(raw, start, TextKind::Element)?, start))
     }
 }
 
