@@ -150,6 +150,7 @@ fn the_programs_of_readme_drive_the_arm() {
     let example_text = page("mom-client/examples/drive.rs");
     let (_, code) = example_text.split_once('\n').expect("a heading");
     let code = code.split("\n/// The lab's address").next().expect("its main");
+    let code = code.replace("#[rustfmt::skip]\n", "");
     let main = program_of_readme("rust", "mom://localhost").replace("\"mom://localhost\"", "hub()");
     assert_eq!(code.trim(), main.trim(), "README has the example of mom-client");
     let lab = Lab::start();

@@ -298,7 +298,7 @@ async fn each_hears_the_same() {
 async fn the_peer_on_the_page_opens_what_the_hub_says() {
     let broker = lab::start().await;
     let page = std::fs::read_to_string(project().join("docs/PROTOCOL.md")).expect("it is there");
-    let example = page.split("A peer in Python that speaks JSON, in full:").nth(1);
+    let example = page.split("A peer in Python that speaks JSON and listens").nth(1);
     let example = example.and_then(|rest| rest.split("```python\n").nth(1));
     let example = example
         .and_then(|rest| rest.split("```").next())
