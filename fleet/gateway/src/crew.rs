@@ -222,7 +222,32 @@ impl Crew {
             tracing::error!("the fleet's file is not taken over: {why}; then send SIGHUP again");
             return false;
         }
-        for unit in &left {
+        self.leave(&left, &again, station, result).await;
+        // Who was stopped at the last moment stays who it was.
+        if let Err(why) = self.may_move(&known, &moved).await {
+            tracing::error!("the fleet's file is not taken over: {why}; then send SIGHUP again");
+            for robot in left.iter().filter_map(|unit| known.get(unit)) {
+                self.take_in(robot, station);
+            }
+            return false;
+        }
+        for robot in &come {
+            self.take_in(robot, station);
+        }
+        let (left, come, robots) = (left.len(), come.len(), self.len());
+        tracing::info!(left, come, robots, "the fleet's file is taken over");
+        true
+    }
+
+    /// Has these robots stand, leave their channels, and lose their connections; those that come `again` do so anew.
+    async fn leave(
+        &mut self,
+        left: &[u32],
+        again: &BTreeSet<u32>,
+        station: &Station,
+        result: &mut Result<(), ClientError>,
+    ) {
+        for unit in left {
             let why = match again.contains(unit) {
                 true => "its entry in the fleet's file has changed",
                 false => "it was taken out of the fleet's file",
@@ -249,20 +274,6 @@ impl Crew {
                 tracing::error!(unit, "the robot may be moving: it was not told to stand in time");
             }
         }
-        // Who was stopped at the last moment stays who it was.
-        if let Err(why) = self.may_move(&known, &moved).await {
-            tracing::error!("the fleet's file is not taken over: {why}; then send SIGHUP again");
-            for robot in left.iter().filter_map(|unit| known.get(unit)) {
-                self.take_in(robot, station);
-            }
-            return false;
-        }
-        for robot in &come {
-            self.take_in(robot, station);
-        }
-        let (left, come, robots) = (left.len(), come.len(), self.len());
-        tracing::info!(left, come, robots, "the fleet's file is taken over");
-        true
     }
 
     /// Whether these robots may get other numbers: not while one is stopped, as the stop holds for its channel, and another one's would let

@@ -103,7 +103,7 @@ impl<'a, 'l> Attributes<'a, 'l> {
         &rest[..end.unwrap_or(rest.len())]
     }
 
-    /// The first fault of what is no pair.
+    /// The first fault of what is not a pair.
     #[cold]
     fn unpaired(&mut self, error: &AttrError) -> WireError {
         let rest = &self.raw[self.at..];

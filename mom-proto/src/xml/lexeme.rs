@@ -19,7 +19,7 @@ use super::text::{bad, is_blank};
 pub(super) enum Lexeme<'a> {
     /// `<name …>` or `<name …/>`.
     Open(Tag<'a>),
-    /// `</name>`; what is no name is no start tag's either.
+    /// `</name>`; what is not a name is not a start tag's either.
     Close(&'a str),
     /// Characters, or a reference, between two tags; maybe in several pieces.
     Text(&'a str),

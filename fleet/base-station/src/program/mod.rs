@@ -8,7 +8,6 @@ mod tests;
 mod view;
 mod watching;
 
-use std::fs;
 use std::io::{IsTerminal as _, Write as _, stdout};
 use std::path::Path;
 

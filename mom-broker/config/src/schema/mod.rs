@@ -163,10 +163,7 @@ fn limits() -> Value {
             "One parcel with its headers and parts, in bytes, or unlimited.",
         ),
         ("slots", "All slots of one parcel but its content, in bytes."),
-        (
-            "control",
-            "The content of a parcel that is not a message, in bytes.",
-        ),
+        ("control", "The content of other parcels than messages, in bytes."),
         ("depth", "Lists and maps inside each other."),
         ("attributes", "Attributes of one XML element."),
         ("attribute-size", "One XML attribute, in bytes."),
