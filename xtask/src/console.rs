@@ -44,7 +44,7 @@ pub(crate) fn build(root: &Path) -> Result<()> {
 
 /// Runs its tests against this program `mom`.
 pub(crate) fn test(root: &Path, mom: &Path) -> Result<(String, Counts)> {
-    npm::test(root, FOLDER, ("MOM_BIN", mom))
+    npm::test(root, FOLDER, "test", ("MOM_BIN", mom))
 }
 
 /// Starts a lab in place of this program, so that Ctrl-C is the lab's alone.

@@ -25,9 +25,14 @@ pub(crate) fn run(root: &Path, folder: &str, script: &str) -> Result<()> {
     Ok(())
 }
 
-/// Runs its tests, with what this variable names; gives what they say, and their counts.
-pub(crate) fn test(root: &Path, folder: &str, (name, value): (&str, &Path)) -> Result<(String, Counts)> {
-    let mut test = npm(root, folder, &["test", "--silent"]);
+/// Runs its tests by this script, with what this variable names; gives what they say, and their counts.
+pub(crate) fn test(
+    root: &Path,
+    folder: &str,
+    script: &str,
+    (name, value): (&str, &Path),
+) -> Result<(String, Counts)> {
+    let mut test = npm(root, folder, &["run", "--silent", script]);
     test.env(name, value);
     println!("$ {} ({folder})", line(&test));
     let (text, status) =

@@ -55,7 +55,7 @@ def test_addresses(text: str, shown: str) -> None:
         ("bin://lab:70000", "port"),
         ("bin://::1:7666", "brackets"),
         ("bin://[lab]:7666", "brackets"),
-        ("bin://alice@lab", "no name of a host"),
+        ("bin://alice@lab", "not a name of a host"),
         ("bins://lab?pin=12", "64 hexadecimal digits"),
         ("bins://lab?name=12", "pin="),
         (f"bin://lab?pin={PIN}", "for TLS"),

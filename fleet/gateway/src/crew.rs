@@ -11,7 +11,7 @@ use mom_base_station::fleet::{Fleet, Robot as Entry};
 use mom_base_station::station::Station;
 use mom_client::{Channel, Client, ClientError};
 use mom_device::DeviceTime;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::{JoinError, JoinSet};
 use tokio::time::Instant;
 
@@ -27,11 +27,20 @@ pub struct Changes {
     /// The base station of the gateway's robots.
     pub station: Station,
     /// Each is a whole fleet.
-    pub fleets: mpsc::Receiver<Fleet>,
+    pub fleets: mpsc::Receiver<Taking>,
     /// The fleet that is driven.
     pub present: watch::Sender<Fleet>,
     /// Where it is kept, if people at the hub may edit it.
     pub file: Option<FleetFile>,
+}
+
+/// A fleet that is to be taken over.
+#[derive(Debug)]
+pub struct Taking {
+    /// As the file says it.
+    pub fleet: Fleet,
+    /// Hears whether it was, or why not.
+    pub told: Option<oneshot::Sender<Result<(), String>>>,
 }
 
 /// A robot that lives.
@@ -124,7 +133,7 @@ impl Crew {
                         .fleets
                         .recv()
                         .await
-                        .map(|fleet| (fleet, changes.station.clone())),
+                        .map(|taking| (taking, changes.station.clone())),
                     None => pending().await,
                 }
             };
@@ -135,11 +144,19 @@ impl Crew {
                         self.ended(ended, &mut result);
                     }
                 }
-                Some((fleet, station)) = changed => {
-                    if self.take_over(&fleet, &station, &mut result).await
-                        && let Some(changes) = &changes
-                    {
-                        changes.present.send_replace(fleet);
+                Some((Taking { fleet, told }, station)) = changed => {
+                    let taken = self.take_over(&fleet, &station, &mut result).await;
+                    match &taken {
+                        Ok(()) => {
+                            if let Some(changes) = &changes {
+                                changes.present.send_replace(fleet);
+                            }
+                        }
+                        Err(why) => tracing::error!("the fleet's file is not taken over: {why}; then send SIGHUP"),
+                    }
+                    if let Some(told) = told {
+                        // Who has asked may be gone.
+                        let _ = told.send(taken);
                     }
                 }
             }
@@ -175,22 +192,19 @@ impl Crew {
 
     /// Leaves the robots that the fleet does not have any more, or at another address or in another group, and takes those that it has
     /// now. The others are not touched.
-    /// False if it carries no fleet of that size, and all stays as it was.
+    /// An error, in words, if it does not, and all stays as it was.
     async fn take_over(
         &mut self,
         fleet: &Fleet,
         station: &Station,
         result: &mut Result<(), ClientError>,
-    ) -> bool {
+    ) -> Result<(), String> {
         let most = self.clients.len() * ROBOTS_PER_CONNECTION;
         if fleet.robots().len() > most {
             let robots = fleet.robots().len();
-            tracing::error!(
-                robots,
-                most,
-                "the fleet's file is not taken over: it has more robots than this gateway's connections carry; start it again"
-            );
-            return false;
+            return Err(format!(
+                "it has {robots} robots, and this gateway's connections carry {most}: start it again"
+            ));
         }
         let known: BTreeMap<u32, Arc<Entry>> = station
             .snapshot()
@@ -218,25 +232,21 @@ impl Crew {
                 entry.map(|robot| &robot.address) != known.get(unit).map(|robot| &robot.address)
             })
             .collect();
-        if let Err(why) = self.may_move(&known, &moved).await {
-            tracing::error!("the fleet's file is not taken over: {why}; then send SIGHUP again");
-            return false;
-        }
+        self.may_move(&known, &moved).await?;
         self.leave(&left, &again, station, result).await;
         // Who was stopped at the last moment stays who it was.
         if let Err(why) = self.may_move(&known, &moved).await {
-            tracing::error!("the fleet's file is not taken over: {why}; then send SIGHUP again");
             for robot in left.iter().filter_map(|unit| known.get(unit)) {
                 self.take_in(robot, station);
             }
-            return false;
+            return Err(why);
         }
         for robot in &come {
             self.take_in(robot, station);
         }
         let (left, come, robots) = (left.len(), come.len(), self.len());
         tracing::info!(left, come, robots, "the fleet's file is taken over");
-        true
+        Ok(())
     }
 
     /// Has these robots stand, leave their channels, and lose their connections; those that come `again` do so anew.

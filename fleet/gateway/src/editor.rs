@@ -12,10 +12,11 @@ use mom_base_station::fleet::{Address, Fleet, FleetFault, Robot};
 use mom_client::{Channel, Client, ClientError, Code, Event, Family, Map, Parcel, Value, from_value};
 use mom_device::stay;
 use serde::Deserialize;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::spawn_blocking;
 use tokio::time::sleep;
 
+use crate::crew::Taking;
 use crate::peer::{GatewayOptions, RobotSite};
 
 /// Edits that may wait; one of them is a person's work of seconds.
@@ -30,7 +31,7 @@ pub struct FleetFile {
     /// Where it is.
     pub path: PathBuf,
     /// Takes what it says after an edit.
-    pub taken: mpsc::Sender<Fleet>,
+    pub taken: mpsc::Sender<Taking>,
 }
 
 /// A robot, as messages name it.
@@ -145,9 +146,13 @@ impl Editor {
                     }
                     sleep(LOOK_AGAIN).await;
                 }
-                Err(error) => {
+                Err(error) if [Some(&Code::UNKNOWN_PATH), Some(&Code::DENIED)].contains(&error.code()) => {
                     tracing::info!(%error, channel = %path, "the fleet's file is not edited from the hub");
                     return None;
+                }
+                Err(error) => {
+                    tracing::debug!(%error, channel = %path, "the channel of the fleet's file is tried again");
+                    sleep(LOOK_AGAIN).await;
                 }
             }
         }
@@ -241,9 +246,21 @@ impl Editor {
             Ok(Err(error)) => return Err(refusal(&error)),
             Err(error) => return Err(Refused::new("file", error.to_string())),
         };
-        // It is gone when the program ends.
-        let _ = self.file.taken.send(fleet).await;
-        Ok(done)
+        let (told, taken) = oneshot::channel();
+        let taking = Taking {
+            fleet,
+            told: Some(told),
+        };
+        // Its taker is gone when the program ends.
+        let _ = self.file.taken.send(taking).await;
+        match taken.await {
+            Ok(Ok(())) => Ok(done),
+            Ok(Err(why)) => Err(Refused::new(
+                "file",
+                format!("the file is changed, but the gateway drives on as before: {why}"),
+            )),
+            Err(_) => Err(Refused::new("try-later", "the gateway ends")),
+        }
     }
 
     /// What is to be done, and that in words.

@@ -12,7 +12,7 @@ mod station;
 mod unit;
 pub mod verb;
 
-pub use crew::Changes;
+pub use crew::{Changes, Taking};
 pub use editor::FleetFile;
 pub use peer::{GatewayOptions, RobotWire, connections, run};
 pub use station::{lines, settings};

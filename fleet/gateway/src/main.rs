@@ -9,7 +9,7 @@ use clap::Parser;
 use mom_base_station::fleet::Fleet;
 use mom_base_station::station::Station;
 use mom_brs::file;
-use mom_gateway::{Changes, FleetFile, GatewayOptions, connections, lines, run, settings};
+use mom_gateway::{Changes, FleetFile, GatewayOptions, Taking, connections, lines, run, settings};
 use mom_program::{HubArgs, begin, shutdown};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{mpsc, watch};
@@ -100,7 +100,7 @@ async fn main() -> anyhow::Result<()> {
 }
 
 /// Reads the fleet's file again at each SIGHUP; done when that came as the program's terminal is gone.
-async fn follow(path: &Path, mut hangup: Signal, taken: mpsc::Sender<Fleet>) {
+async fn follow(path: &Path, mut hangup: Signal, taken: mpsc::Sender<Taking>) {
     let had_terminal = std::io::stderr().is_terminal();
     while hangup.recv().await.is_some() {
         if had_terminal && !std::io::stderr().is_terminal() {
@@ -112,7 +112,7 @@ async fn follow(path: &Path, mut hangup: Signal, taken: mpsc::Sender<Fleet>) {
         match fleet {
             Ok(fleet) => {
                 // It is gone when the program ends.
-                let _ = taken.send(fleet).await;
+                let _ = taken.send(Taking { fleet, told: None }).await;
             }
             Err(error) => tracing::error!("{error:#}; the fleet stays as it was"),
         }

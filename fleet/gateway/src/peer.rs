@@ -8,6 +8,7 @@ use mom_brs::Frame;
 use mom_brs::Table;
 use mom_brs::file::EXTENDED;
 use mom_client::{Channel, Client, ClientError, Code, Path};
+use mom_device::COMMAND;
 use mom_wheeled::{ensure_session, enter, enter_status, stay};
 use tokio::task::JoinSet;
 use tokio::time::timeout;
@@ -222,20 +223,22 @@ impl RobotSite {
         let token = options.token(*unit, group.as_deref());
         let enter = || enter(client, &path, &token, options.manager.as_deref());
         let channel = enter().await?;
-        let Some(other) = channel
-            .guard()
-            .map(|guard| guard.token)
-            .filter(|other| other.as_str() != token)
-        else {
+        if is_guarded(&channel, &token) {
             return Ok(channel);
-        };
-        // It was made when the robot was in another group: whoever held that token would drive it.
-        match client.delete(channel.path().as_str()).await {
-            Ok(()) => enter().await,
-            Err(error) => {
-                tracing::warn!(unit, guard = %other, token, %error, "the robot's channel has another token than the fleet's file says, and cannot be made anew");
-                Ok(channel)
-            }
+        }
+        // It was made when the robot was in another group: whoever holds that token would drive it.
+        client
+            .delete(channel.path().as_str())
+            .await
+            .map_err(|error| unguarded(&channel, &token, error))?;
+        let channel = enter().await?;
+        match is_guarded(&channel, &token) {
+            true => Ok(channel),
+            false => Err(unguarded(
+                &channel,
+                &token,
+                ClientError::Connection("another peer has made it".to_owned()),
+            )),
         }
     }
 
@@ -252,9 +255,13 @@ impl RobotSite {
 
     /// By whom, and why, the robot is stopped; the hub keeps that by the path of its channel, so another path is not stopped.
     pub(crate) async fn stopped(&self) -> Result<Option<String>, ClientError> {
-        match self.client.stops(&self.options.channel(self.unit)).await {
+        let channel = self.options.channel(self.unit);
+        // A channel that is gone for a moment keeps its stop, so that it is not known then.
+        let asked = timeout(LEAVING, self.client.stops(&channel)).await;
+        let late = || ClientError::Connection("it does not answer".to_owned());
+        match asked.map_err(|_| late()).flatten() {
             Ok(state) if state.stopped || !state.only.is_empty() => {
-                let by = state.by.unwrap_or_else(|| "somebody".to_owned());
+                let by = state.by.unwrap_or_else(|| "a peer".to_owned());
                 let reason = state
                     .reason
                     .map(|reason| format!(" ({reason})"))
@@ -262,7 +269,6 @@ impl RobotSite {
                 Ok(Some(format!("unit {} is stopped by {by}{reason}", self.unit)))
             }
             Ok(_) => Ok(None),
-            Err(error) if error.code() == Some(&Code::UNKNOWN_PATH) => Ok(None),
             Err(error) => Err(error),
         }
     }
@@ -270,5 +276,31 @@ impl RobotSite {
     /// The channel of all states; none if the session's path is none.
     pub(crate) fn status(&self) -> Option<Path> {
         Path::parse(&self.options.status()).ok()
+    }
+}
+
+/// Whether nobody commands in this channel but who holds that token.
+fn is_guarded(channel: &Channel, token: &str) -> bool {
+    let guards = |name: &String| matches!(name.as_str(), COMMAND | "*");
+    channel
+        .guard()
+        .is_some_and(|guard| guard.token.as_str() == token && guard.names.iter().any(guards))
+}
+
+/// What is wrong with a channel that another token guards, or none, and cannot be made anew.
+fn unguarded(channel: &Channel, token: &str, why: ClientError) -> ClientError {
+    let guard = channel
+        .guard()
+        .map_or("nothing".to_owned(), |guard| guard.token.to_string());
+    let text = format!(
+        "the commands of {} are guarded by {guard}, and by the fleet's file they are by {token}; it cannot be made anew: ",
+        channel.path()
+    );
+    match why {
+        ClientError::Refused(mut error) => {
+            error.text = format!("{text}{}", error.text);
+            ClientError::Refused(error)
+        }
+        other => ClientError::Connection(format!("{text}{other}")),
     }
 }

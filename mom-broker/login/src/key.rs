@@ -198,7 +198,7 @@ mod tests {
             ("ed25519 §".to_owned(), "base64"),
             ("ed25519 AAAA".to_owned(), "3 bytes"),
             // The neutral element: every signature of zeros would fit it.
-            (format!("ed25519 AQ{}=", "A".repeat(41)), "no public key"),
+            (format!("ed25519 AQ{}=", "A".repeat(41)), "not a public key"),
         ] {
             let error = parse_key(&text).expect_err("no key");
             assert!(error.contains(words), "{text:?}: {error}");

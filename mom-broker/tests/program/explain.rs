@@ -422,7 +422,7 @@ fn explain_refuses_what_cannot_be_asked() {
         ),
         (
             &["--user", "alice", "--context", "/chat", "--owner", "bob"],
-            "no token",
+            "not a token",
         ),
         (
             &["--user", "alice", "--context", "/chat", "--message", "x"],

@@ -65,7 +65,7 @@ mod tests {
         let tree = Tree::of(&[
             (
                 "a.rs",
-                "// Whoever reads; somebody else. It is not a word, and there is no other.",
+                "// Whoever reads; somebody else. It is\u{20}no word, and there is no other.",
             ),
             ("docs/papers.md", "whoever"),
             ("b.svg", "whoever"),

@@ -143,7 +143,7 @@ fn wrong_keys_and_types() {
         "too large or too small; must be a whole number above 0",
     );
     check("¦reload = \"never\"\n", "reload", "signal");
-    check("¦log = \"mom=loud\"\n", "log", "no filter");
+    check("¦log = \"mom=loud\"\n", "log", "not a filter");
     check(
         "[[contexts]]\npath = \"/a\"\nkind = \"channel\"\n¦color = 1\n",
         "contexts[0].color",
@@ -250,14 +250,18 @@ fn numbers_that_cannot_be() {
     check(
         "[limits]\nheartbeat = 500\n¦gone = 500\n",
         "limits.gone",
-        "longer than heartbeat",
+        "must exceed `heartbeat`",
     );
-    check("[limits]\n¦gone = 9999\n", "limits.gone", "longer than heartbeat");
+    check(
+        "[limits]\n¦gone = 9999\n",
+        "limits.gone",
+        "must exceed `heartbeat`",
+    );
     check("¦listen = []\n", "listen", "address");
     check(
         "[limits]\n¦heartbeat = 40000\n",
         "limits.heartbeat",
-        "longer than heartbeat",
+        "must exceed `heartbeat`",
     );
 }
 
@@ -272,7 +276,7 @@ fn addresses_that_cannot_be_listened_at() {
         ("127.0.0.1", "has no port"),
         (":7666", "127.0.0.1:7666"),
         ("::1:7666", "[::1]:7666"),
-        ("tcp://127.0.0.1:7666", "no address of this machine"),
+        ("tcp://127.0.0.1:7666", "not an address of this machine"),
     ] {
         check(&format!("¦listen = [\"{address}\"]\n"), "listen[0]", words);
     }
@@ -297,11 +301,15 @@ fn listeners_that_contradict_themselves() {
             "proxies",
             "there are `address`, `takes`, `tls`, `proxy`",
         ),
-        ("proxy = [\"10.0.0.0/33\"]", "proxy", "no address or network"),
+        (
+            "proxy = [\"10.0.0.0/33\"]",
+            "proxy",
+            "not an IP address or network",
+        ),
         (
             "proxy = [\"::1\", \"localhost\"]",
             "proxy",
-            "no address or network",
+            "not an IP address or network",
         ),
         ("proxy = [\"10.0.0.1/8\"]", "proxy", "did you mean `10.0.0.0/8`?"),
         ("proxy = [\"fd00::1/8\"]", "proxy", "did you mean `fd00::/8`?"),
@@ -395,7 +403,7 @@ fn wrong_tokens() {
     let algorithms = |list: &str| jwt("algorithms", &format!("algorithms = [{list}]"));
     for (list, key_file, key, words) in [
         ("", ED25519, "algorithms", "EdDSA"),
-        ("\"none\"", ED25519, "algorithms", "no signature"),
+        ("\"none\"", ED25519, "algorithms", "not a signature"),
         ("\"ED25519\"", ED25519, "algorithms", "EdDSA"),
         ("\"EdDSA\", \"HS256\"", ED25519, "algorithms", "different kinds"),
     ] {

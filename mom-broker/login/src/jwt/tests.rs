@@ -155,13 +155,13 @@ fn a_changed_token_is_none() {
 fn keys_that_do_not_fit_are_told_before() {
     let secret = "0123456789abcdef0123456789abcdef";
     for (algorithm, key, words) in [
-        ("ES256", P384, "no key for ES256"),
-        ("ES384", P256, "no key for ES384"),
-        ("ES256", RSA, "no public key of ECDSA"),
-        ("EdDSA", P256, "no public key of Ed25519"),
+        ("ES256", P384, "not a key for ES256"),
+        ("ES384", P256, "not a key for ES384"),
+        ("ES256", RSA, "not a public key of ECDSA"),
+        ("EdDSA", P256, "not a public key of Ed25519"),
         ("EdDSA", ED448, "Ed25519"),
         ("RS256", SHORT_RSA, "2048 bits"),
-        ("RS256", P256, "no public key of RSA"),
+        ("RS256", P256, "not a public key of RSA"),
         ("RS256", secret, "public key in PEM"),
         ("HS256", RSA, "not a secret"),
         ("HS512", &secret[1..], "at least 32"),

@@ -138,8 +138,8 @@ fn misplaced(issuer: &Issuer) -> Vec<(&'static str, String, &'static str)> {
             changed("sub", json!("mallory")),
             "does not exist here",
         ),
-        ("the hub", changed("sub", json!("hub")), "no name"),
-        ("a pattern", changed("sub", json!("*")), "no name"),
+        ("the hub", changed("sub", json!("hub")), "not a name"),
+        ("a pattern", changed("sub", json!("*")), "not a name"),
     ]
 }
 
@@ -151,7 +151,7 @@ async fn threat_14_forged_tokens() {
     for (what, forged) in forged(&issuer) {
         let mut eve = connect().await;
         let text = check_bad_login(token(&mut eve, &forged).await, what);
-        assert!(text.contains("no token of the issuer"), "{what}: {text}");
+        assert!(text.contains("not a token of the issuer"), "{what}: {text}");
         check_outside(&mut eve, what).await;
     }
     for (what, misplaced, words) in misplaced(&issuer) {
