@@ -134,7 +134,14 @@ impl State {
         for piece in pieces {
             let piece = &piece[skip.min(piece.len())..];
             skip = 0;
-            let some = &piece[..piece.len().min(self.allowed - taken)];
+            let room = self.allowed - taken;
+            if room == 1 && piece.len() > 1 {
+                // The last byte that was taken may not be told yet: a frame of which only its first one was would look untouched, and
+                // could be overtaken by another.
+                self.allowed = taken;
+                break;
+            }
+            let some = &piece[..piece.len().min(room)];
             self.engine.add(some, &mut self.out)?;
             taken += some.len();
         }
@@ -251,4 +258,26 @@ fn into_room<T>(
     let written = write(&mut out[before..]);
     out.truncate(before + written.as_ref().map_or(0, |(_, length)| *length));
     written.map(|(told, _)| told)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_turn_ends_one_byte_into_a_frame() {
+        for way in [Compression::StreamZstd, Compression::StreamDeflate] {
+            let packer = Packer::new(way, false).expect("memory");
+            let mut state = packer.state.lock();
+            let (first, second, last) = (vec![b'a'; TURN - 1], [b'b'; 100], [b'c'; 1]);
+            let pieces = [&first[..], &second, &last].map(IoSlice::new);
+            let taken = state.take(&pieces, false).expect("memory");
+            // Neither a byte of the second, nor the last one before it.
+            assert_eq!((taken, state.allowed), (TURN - 1, 0), "{way}");
+            state.allowed = TURN;
+            assert_eq!(state.take(&pieces[1..], false).expect("memory"), 101, "{way}");
+            state.allowed = 2;
+            assert_eq!(state.take(&pieces[1..], false).expect("memory"), 2, "{way}");
+        }
+    }
 }
