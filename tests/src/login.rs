@@ -6,7 +6,7 @@ use ed25519_dalek::pkcs8::spki::der::pem::LineEnding;
 use ed25519_dalek::pkcs8::{EncodePrivateKey, EncodePublicKey};
 use ed25519_dalek::{Signer, SigningKey};
 use jsonwebtoken::{Algorithm, EncodingKey, Header, encode};
-use mom_broker::{JwtConfig, JwtUsers, KeyFile};
+use mom_broker::{JwtConfig, JwtUsers, KeyFile, UserEntry};
 use mom_proto::{Family, Map, Parcel, Value, WireError, login_challenge};
 use serde_json::{Value as Json, json};
 
@@ -80,6 +80,16 @@ pub async fn challenge(raw: &mut Raw, user: &str) -> Result<Value, WireError> {
 pub async fn log_in(raw: &mut Raw, content: Map) -> Result<Value, WireError> {
     let login = Parcel::new(Family::Login, "login").content(content);
     raw.ask(login).await.map(|reply| reply.value())
+}
+
+/// Gives this user's password, which is its name, a hash as costly as `mom-broker passwd` makes it: those of the lab's file cost little.
+///
+/// # Panics
+/// If there is no such user.
+pub fn make_costly(users: &mut [UserEntry], name: &str) {
+    let user = users.iter_mut().find(|user| user.name == name);
+    let hash = mom_broker::hash(name).expect("it can be hashed");
+    user.expect("a user of the lab").password = Some(hash);
 }
 
 /// Proves a password.

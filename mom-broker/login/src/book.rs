@@ -10,6 +10,7 @@ use mom_proto::{BadFingerprint, Code, Fingerprint, Map, Micros, Time, WireError,
 use super::hashing::Hashing;
 use super::jwt::{Proven, Verifier};
 use super::key::parse_key;
+use super::password;
 use crate::{LoginConfig, SettingError, UserEntry};
 
 /// The user and the group of guests.
@@ -36,6 +37,8 @@ pub(super) struct Book {
     pub(super) keys: usize,
     pub(super) settings: LoginConfig,
     pub(super) hashing: Arc<Hashing>,
+    /// Checked in place of an unknown user's hash, so that the time does not reveal which users exist.
+    pub(super) decoy: String,
     verifier: Option<Arc<Verifier>>,
     guest: Arc<User>,
 }
@@ -117,6 +120,7 @@ impl Book {
                 .max()
                 .unwrap_or_default()
                 .max(1),
+            decoy: password::decoy(users.values().filter_map(|user| user.password.as_deref())),
             users,
             settings,
             hashing,

@@ -95,8 +95,6 @@ pub struct Logins {
     subjects: Subjects,
     /// The user of each peer.
     peers: DashMap<PeerId, Identity>,
-    /// Checked in place of an unknown user's hash, so that the time does not reveal which users exist.
-    dummy: String,
 }
 
 impl Logins {
@@ -110,7 +108,6 @@ impl Logins {
             places: Places::forgetful(),
             subjects: Subjects::default(),
             peers: DashMap::new(),
-            dummy: hash("no such user").unwrap_or_default(),
         })
     }
 
@@ -330,7 +327,7 @@ impl Logins {
         let known = place.filter(|place| self.places.knows(name, *place));
         let entry = book.users.get(name).filter(|entry| entry.password.is_some());
         let expected = entry.and_then(|entry| entry.password.clone());
-        let expected = expected.unwrap_or_else(|| self.dummy.clone());
+        let expected = expected.unwrap_or_else(|| book.decoy.clone());
         let shown = expected.clone();
         let known = known.map(|place| (name.to_owned(), place));
         let matches = book

@@ -23,6 +23,24 @@ pub(crate) fn is_hash(text: &str) -> bool {
     PasswordHash::new(text).is_ok_and(|hash| hash.algorithm.as_str() == "argon2id")
 }
 
+/// A hash that no password has and that costs as much to check as the costliest of these; as much as a new one if there are none.
+pub(super) fn decoy<'a>(hashes: impl Iterator<Item = &'a str>) -> String {
+    let costs = hashes
+        .filter_map(|hash| Params::try_from(&PasswordHash::new(hash).ok()?.params).ok())
+        .max_by_key(|params| u64::from(params.m_cost()) * u64::from(params.t_cost()));
+    let (memory, passes, lanes) = costs.map_or(
+        (
+            Params::DEFAULT_M_COST,
+            Params::DEFAULT_T_COST,
+            Params::DEFAULT_P_COST,
+        ),
+        |params| (params.m_cost(), params.t_cost(), params.p_cost()),
+    );
+    // Base64 of 16 and of 32 bytes, all zero: who finds a password with this output has still no user.
+    let (salt, output) = ("A".repeat(22), "A".repeat(43));
+    format!("$argon2id$v=19$m={memory},t={passes},p={lanes}${salt}${output}")
+}
+
 /// Refuses a secret that others could have read on its way.
 pub(super) fn check_private(link: &LoginLink, what: &str) -> Result<(), WireError> {
     if link.is_private() {
@@ -102,6 +120,23 @@ mod tests {
                 Ok(()) => assert!(taken, "{from:?}"),
                 Err(error) => assert!(!taken && error.code == Code::INSECURE, "{from:?}"),
             }
+        }
+    }
+
+    #[test]
+    fn an_unknown_user_costs_as_much_as_the_costliest() {
+        let cheap = "$argon2id$v=19$m=256,t=1,p=1$c29tZXNhbHQ$CTFhFdXPJO1aFaMaO6Mm5c8y7cJHAph8ArZWb2GRPPc";
+        let costly = "$argon2id$v=19$m=1024,t=3,p=1$c29tZXNhbHQ$CTFhFdXPJO1aFaMaO6Mm5c8y7cJHAph8ArZWb2GRPPc";
+        let mut memory = Vec::new();
+        for (hashes, costs) in [
+            (vec![cheap, costly, "damaged"], "$m=1024,t=3,p=1$"),
+            (vec![cheap], "$m=256,t=1,p=1$"),
+            (vec![], "$m=19456,t=2,p=1$"),
+        ] {
+            let decoy = decoy(hashes.into_iter());
+            assert!(is_hash(&decoy) && decoy.contains(costs), "{decoy}");
+            // It is hashed to the end, not refused for its form, which would take no time.
+            assert_eq!(try_match("secret", &decoy, &mut memory), Some(false), "{decoy}");
         }
     }
 

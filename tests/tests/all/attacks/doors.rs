@@ -7,7 +7,7 @@ use mom_proto::codec::Form;
 use mom_proto::{Code, Family, Map, Parcel, Value, WireError};
 use mom_tests::canary::Canary;
 use mom_tests::lab;
-use mom_tests::login::{DeviceKey, Issuer, challenge, claims, password, token};
+use mom_tests::login::{DeviceKey, Issuer, challenge, claims, make_costly, password, token};
 use mom_tests::raw::{PATIENCE, Raw};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
@@ -266,6 +266,7 @@ async fn a_storm_of_hashing_keeps_known_places_open() {
     const EVES: usize = 24;
     let mut house = House::open(|config| {
         config.login.waiting = 4;
+        make_costly(&mut config.users, "bob");
         config.login.attempts = 1_000_000;
         let rate = mom_broker::FailureRate {
             per_minute: 1_000_000,

@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use mom_proto::codec::Form;
 use mom_proto::{Code, Family, Map, Parcel};
+use mom_tests::login::make_costly;
 use mom_tests::raw::{Raw, message};
 use tokio::task::JoinSet;
 
@@ -48,6 +49,7 @@ async fn rain(mut peer: Raw, password: &'static str, stop: Arc<AtomicBool>) -> D
 async fn threat_16_control_goes_on_while_logins_rain() {
     let mut world = World::start_with(|config| {
         config.login.waiting = WAITING;
+        make_costly(&mut config.users, "bob");
         // Some of so many are never lucky; that they are closed after a while is not what is tried here.
         config.limits.login_time = 600_000;
     })

@@ -6,7 +6,7 @@ use std::time::Duration;
 use mom_broker::{Config, FailureRate};
 use mom_proto::codec::Form;
 use mom_proto::{Family, Map, Parcel, WireError};
-use mom_tests::login::{DeviceKey, challenge, log_in, password};
+use mom_tests::login::{DeviceKey, challenge, log_in, make_costly, password};
 use mom_tests::raw::{PATIENCE, Raw};
 use tokio::task::JoinSet;
 
@@ -246,7 +246,11 @@ async fn threat_15_one_connection_has_three_attempts() {
 async fn threat_16_logins_at_once() {
     const AT_ONCE: usize = 200;
     const WAITING: usize = 16;
-    let mut world = World::start_with(|config| config.login.waiting = WAITING).await;
+    let mut world = World::start_with(|config| {
+        config.login.waiting = WAITING;
+        make_costly(&mut config.users, "bob");
+    })
+    .await;
     let before = world.broker.login_stats().hashed;
     let address = world.address();
     let mut logins = JoinSet::new();
