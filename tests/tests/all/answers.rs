@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use mom_client::{Client, DeviceAnswer, Rest, Standing};
 use mom_proto::{Family, Map, Value};
-use mom_tests::raw::message;
+use mom_tests::raw::{Raw, message};
 use serde_json::Value as Json;
 
 use crate::losses::Lab;
@@ -14,6 +14,7 @@ use crate::stops::{ARM, mute};
 async fn the_hub_and_the_client_answer_by_the_cases() {
     let lab = Lab::start_with_several().await;
     let mut device = mute(&lab).await;
+    both_are_there(&mut device).await;
     let hub = format!("bin://{}", lab.broker.local_addr());
     let alice = Client::builder(hub.as_str()).user("alice").password("alice");
     let alice = alice.connect().await.expect("she may");
@@ -57,6 +58,30 @@ async fn the_hub_and_the_client_answer_by_the_cases() {
     }
     alice.close().await;
     lab.end().await;
+}
+
+/// Until the arm of the lab is in its channel as well: one that enters while a stop waits for words is told of it, and heard.
+async fn both_are_there(device: &mut Raw) {
+    loop {
+        let members = device
+            .ask_about(Family::Context, "members", ARM)
+            .await
+            .expect("a list");
+        let members = members
+            .get("members")
+            .and_then(Value::as_list)
+            .expect("members")
+            .to_vec();
+        if members
+            .iter()
+            .filter(|member| member.get("device").is_some())
+            .count()
+            == 2
+        {
+            return;
+        }
+        device.next_within(Duration::from_millis(100)).await;
+    }
 }
 
 fn answer_of(answer: &Json) -> DeviceAnswer {

@@ -196,28 +196,19 @@ impl Away {
     }
 
     async fn arm_at(&self, hub: String) -> Running {
+        // From before its start, so that one of before that the hub has not missed yet is not taken for it.
+        let mut alice = Raw::login(self.broker.address(), Form::Binary, "alice").await;
+        alice.join(&["/robot", ARM]).await;
         let start = move || {
             let args = ["--hub", &hub, "--user", "arm"];
             Running::start("mom-arm", &args, &[("MOM_PASSWORD", "arm")])
         };
         let arm = spawn_blocking(start).await.expect("it starts");
-        let mut alice = Raw::login(self.broker.address(), Form::Binary, "alice").await;
-        alice.join(&["/robot", ARM]).await;
         loop {
-            let members = alice
-                .ask_about(Family::Context, "members", ARM)
-                .await
-                .expect("a list");
-            let members = members
-                .get("members")
-                .and_then(Value::as_list)
-                .expect("members")
-                .to_vec();
-            if members.iter().any(|member| member.get("device").is_some()) {
+            let joined = alice.next_of(Family::Event, "joined").await.value();
+            if joined.get("device").is_some() {
                 return arm;
             }
-            // The next event, who joins among them, is a reason to look again.
-            alice.next_within(Duration::from_millis(100)).await;
         }
     }
 
