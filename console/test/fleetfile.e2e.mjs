@@ -16,7 +16,7 @@ const file = join(folder, "fleet.toml");
 const children = [];
 
 function program(name, args, env = {}) {
-  const child = spawn(join(programs, name), args, { stdio: "ignore", env: { ...process.env, XDG_STATE_HOME: folder, ...env } });
+  const child = spawn(join(programs, "mom-device"), args, { argv0: name, stdio: "ignore", env: { ...process.env, XDG_STATE_HOME: folder, ...env } });
   children.push(child);
   process.once("exit", () => child.kill("SIGKILL"));
 }

@@ -28,10 +28,11 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 fn main() -> ExitCode {
     // The settings of the environment count as arguments for clap, so it would not see that there are none.
-    if std::env::args_os().len() == 1 {
+    let args: Vec<_> = std::env::args_os().collect();
+    if args.len() == 1 {
         return output::help(&mut Cli::command());
     }
-    if let Some(written) = mom_pages::asked::<Cli>() {
+    if let Some(written) = mom_pages::asked::<Cli>(&args) {
         return match written {
             Ok(()) => ExitCode::SUCCESS,
             Err(error) => Output::new(false).failure(&Failure::from(error)),

@@ -10,10 +10,9 @@ use clap_complete::Shell;
 /// The first of the two arguments that ask for them. It is not an option of the programs, because it is for packagers only.
 pub const ASK: &str = "--write-pages";
 
-/// Writes the pages of a program that was started with [`ASK`] and a folder; none = it was asked for something else.
-pub fn asked<C: CommandFactory>() -> Option<io::Result<()>> {
-    let args: Vec<OsString> = std::env::args_os().skip(1).collect();
-    let [ask, folder] = &args[..] else { return None };
+/// Writes the pages of a program that was started with [`ASK`] and a folder after its name; none = it was asked for something else.
+pub fn asked<C: CommandFactory>(args: &[OsString]) -> Option<io::Result<()>> {
+    let [_, ask, folder] = args else { return None };
     (ask == ASK).then(|| write(&C::command(), Path::new(folder)))
 }
 

@@ -1,6 +1,7 @@
 //! The real programs as processes: built once, started on free ports, ended with the test.
 
 use std::io::{BufRead, BufReader};
+use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::OnceLock;
@@ -9,6 +10,9 @@ use std::time::{Duration, Instant};
 
 /// How long anything may take before a test gives up; no test waits so long when all is well.
 pub const PATIENCE: Duration = Duration::from_secs(60);
+
+/// The programs that are links to `mom-device`, and what each is.
+const LINKS: &[(&str, &str)] = &include!("../../mom-robot/names.rs");
 
 /// The folder of the project.
 pub fn project() -> PathBuf {
@@ -22,22 +26,25 @@ pub fn project() -> PathBuf {
 /// If it cannot be built.
 pub fn program(name: &str) -> PathBuf {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
-    let packages = [
-        "mom",
-        "mom-broker",
-        "mom-arm",
-        "mom-camera",
-        "mom-model",
-        "mom-servo",
-        "mom-mcp",
-        "mom-linuxbot",
-        "mom-base-station",
-        "mom-gateway",
-        "mom-rover",
-        "mom-cubo",
-        "mom-simulacrum",
-    ];
-    FOLDER.get_or_init(|| build(&packages)).join(name)
+    let folder = FOLDER.get_or_init(|| {
+        let folder = build(&["mom", "mom-broker", "mom-robot"]);
+        LINKS.iter().for_each(|(name, _)| link(&folder, name));
+        folder
+    });
+    folder.join(name)
+}
+
+/// Makes a link of this name to `mom-device`, as the packages have it.
+fn link(folder: &Path, name: &str) {
+    let link = folder.join(name);
+    if link.read_link().is_ok_and(|to| to == Path::new("mom-device")) {
+        return;
+    }
+    // In one step: other test programs start it, and may make it too.
+    let made = tempfile::tempdir_in(folder).expect("a folder beside the programs");
+    let new = made.path().join(name);
+    symlink("mom-device", &new).expect("a link");
+    std::fs::rename(new, link).expect("it is moved");
 }
 
 /// Builds the programs of these packages with the tests' own settings: `cargo test` builds those of a package only for

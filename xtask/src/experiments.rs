@@ -14,8 +14,7 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<bool> {
         root,
         &[
             ("mom-broker", &["mom-broker"]),
-            ("mom-arm", &["mom-arm"]),
-            ("mom-camera", &["mom-camera"]),
+            ("mom-robot", &["mom-device"]),
             ("mom-experiments", &["experiments"]),
         ],
     )?;

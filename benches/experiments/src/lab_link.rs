@@ -181,23 +181,16 @@ fn measure(way: Way, settings: &Settings) -> Result<Both> {
 
 /// The arm and its cameras, each a process beside the broker.
 fn devices(hub: &FarHub, settings: &Settings) -> Result<Vec<Process>> {
-    let start = |name: &str, password, args: &[&str], ready| {
-        let program = settings.broker.with_file_name(name);
-        ensure!(
-            program.is_file(),
-            "there is no {}; `cargo xtask experiments` builds it",
-            program.display()
-        );
-        hub.start_near(&program, password, args, ready)
-    };
-    let mut devices = vec![start("mom-arm", "arm", &[], "the arm is ready")?];
+    let program = settings.broker.with_file_name("mom-device");
+    ensure!(
+        program.is_file(),
+        "there is no {}; `cargo xtask experiments` builds it",
+        program.display()
+    );
+    let start = |password, args: &[&str], ready| hub.start_near(&program, password, args, ready);
+    let mut devices = vec![start("arm", &["arm"], "the arm is ready")?];
     for view in VIEWS {
-        devices.push(start(
-            "mom-camera",
-            "camera",
-            &["--view", view],
-            "the camera is ready",
-        )?);
+        devices.push(start("camera", &["camera", "--view", view], "the camera is ready")?);
     }
     Ok(devices)
 }

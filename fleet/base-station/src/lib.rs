@@ -36,6 +36,7 @@ pub mod edit;
 pub mod fleet;
 pub mod log;
 pub mod play;
+pub mod program;
 pub mod script;
 pub mod station;
 

@@ -7,6 +7,7 @@
 mod crew;
 mod editor;
 mod peer;
+pub mod program;
 mod robot;
 mod station;
 mod unit;

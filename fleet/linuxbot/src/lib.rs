@@ -11,6 +11,7 @@ mod hearing;
 mod listen;
 mod login;
 mod page;
+pub mod program;
 mod refusals;
 mod robot;
 mod status;

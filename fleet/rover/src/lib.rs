@@ -4,5 +4,6 @@
 //! answers. [`run`] connects it to the hub, where it tells others where it is, and may follow one of them.
 
 mod peer;
+pub mod program;
 
 pub use peer::{POSE, RoverOptions, run};

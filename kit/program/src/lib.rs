@@ -1,5 +1,6 @@
 //! What the programs of peers do alike: the options by which they find their hub and log in, their log, and how they end.
 
+use std::ffi::OsString;
 use std::future::Future;
 use std::io::IsTerminal;
 
@@ -13,18 +14,18 @@ mod installation;
 
 pub use hub::HubArgs;
 
-/// Reads the arguments of a program, and begins its log on the standard error: as much as `RUST_LOG` says, else as `log` says.
+/// Reads the arguments of a program, of which the first is its name, and begins its log on the standard error: as much as `RUST_LOG` says, else as `log` says.
 /// None where its pages were asked for ([`mom_pages::ASK`]), which are written then.
 ///
 /// # Errors
 ///
 /// Pages that cannot be written. Arguments that are wrong end the program.
-pub fn begin<A: Parser>(log: &str) -> anyhow::Result<Option<A>> {
-    if let Some(written) = mom_pages::asked::<A>() {
+pub fn begin<A: Parser>(args: Vec<OsString>, log: &str) -> anyhow::Result<Option<A>> {
+    if let Some(written) = mom_pages::asked::<A>(&args) {
         written.context("cannot write the pages")?;
         return Ok(None);
     }
-    let args = A::parse();
+    let args = A::parse_from(args);
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(log));
     tracing_subscriber::fmt()
         .with_env_filter(filter)

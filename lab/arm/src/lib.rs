@@ -52,6 +52,7 @@ pub mod motion;
 pub mod path;
 pub mod peer;
 pub mod pose;
+pub mod program;
 pub mod rapid;
 pub mod reach;
 pub mod script;

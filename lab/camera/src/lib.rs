@@ -21,6 +21,7 @@ mod owner;
 pub mod pan;
 pub mod peer;
 mod predicted;
+pub mod program;
 mod renderer;
 mod robot;
 mod scene;

@@ -12,6 +12,7 @@ mod objects;
 mod owners;
 pub mod peer;
 pub mod plan;
+pub mod program;
 pub mod server;
 pub mod verb;
 

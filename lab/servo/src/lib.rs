@@ -20,6 +20,7 @@ pub mod memory;
 pub mod motion;
 pub mod peer;
 pub mod plan;
+pub mod program;
 pub mod task;
 pub mod track;
 pub mod verb;

@@ -57,10 +57,11 @@ enum BrokerCommand {
 
 /// Runs the command.
 pub(crate) fn main() -> ExitCode {
-    if let Some(written) = mom_pages::asked::<BrokerCli>() {
+    let args: Vec<_> = std::env::args_os().collect();
+    if let Some(written) = mom_pages::asked::<BrokerCli>(&args) {
         return report(written.map(|()| ExitCode::SUCCESS).map_err(Into::into));
     }
-    let cli = BrokerCli::parse();
+    let cli = BrokerCli::parse_from(args);
     let result = match &cli.command {
         Some(BrokerCommand::Check(args)) => return report(check::run(args)),
         Some(BrokerCommand::Explain(args)) => explain::run(args),

@@ -4,6 +4,7 @@
 
 mod body;
 mod page;
+pub mod program;
 mod serve;
 
 pub use body::{Cubo, Doings, Glance, Touch};

@@ -9,6 +9,7 @@ mod generator;
 mod link;
 mod peer;
 mod playing;
+pub mod program;
 mod teller;
 mod unit;
 mod values;

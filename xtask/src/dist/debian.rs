@@ -1,35 +1,35 @@
-//! The package for Debian and its relatives: a tree of files, which `dpkg-deb` packs.
+//! Packages for Debian and its relatives: each a tree of files, which `dpkg-deb` packs.
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::Path;
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context as _, Result};
 
 use super::files::{copy, kept, open, put};
-use super::{PROGRAMS, Release};
+use super::{Pack, Release};
 use crate::command::output;
 
 /// Packs what `tree` has into `out`; the package's name.
-pub(super) fn pack(root: &Path, release: &Release, tree: &Path, out: &Path) -> Result<String> {
+pub(super) fn pack(root: &Path, pack: &Pack, release: &Release, tree: &Path, out: &Path) -> Result<String> {
     let parts = root.join("packages");
     let package = out.join("debian");
-    lay_out(&parts, tree, &package)?;
-    changelog(release, &package)?;
+    lay_out(&parts, pack, tree, &package)?;
+    changelog(pack, release, &package)?;
     for file in kept(&package.join("usr/share"))? {
-        let (man, doc) = (package.join("usr/share/man"), package.join("usr/share/doc/mom"));
+        let (man, doc) = (package.join("usr/share/man"), doc(pack, &package));
         let large = ["changelog", "CHANGELOG.md", "licences"].map(|name| doc.join(name));
         if file.starts_with(man) || large.contains(&file) {
             output(Command::new("gzip").arg("-9n").arg(&file))?;
         }
     }
     let control = package.join("DEBIAN");
-    for script in ["postinst", "prerm", "postrm"] {
-        copy(&parts.join("debian").join(script), &control.join(script), 0o755)?;
+    let own = parts.join("debian").join(pack.name);
+    for (file, mode) in pack.control {
+        copy(&own.join(file), &control.join(file), *mode)?;
     }
-    let conffiles = control.join("conffiles");
-    copy(&parts.join("debian/conffiles"), &conffiles, 0o644)?;
     let architecture = output(Command::new("dpkg").arg("--print-architecture"))?;
     let size = output(Command::new("du").args(["-sk", "--apparent-size"]).arg(&package))?;
     let fields = [
@@ -37,16 +37,16 @@ pub(super) fn pack(root: &Path, release: &Release, tree: &Path, out: &Path) -> R
         ("@ARCHITECTURE@", architecture.trim()),
         ("@MAINTAINER@", &release.maintainer),
         ("@SIZE@", size.split_whitespace().next().unwrap_or("0")),
-        ("@DEPENDS@", &needs(tree)?),
+        ("@DEPENDS@", &needs(pack, tree)?),
     ];
-    let mut text = fs::read_to_string(parts.join("debian/control"))?;
+    let mut text = fs::read_to_string(own.join("control"))?;
     for (name, value) in fields {
         text = text.replace(name, value);
     }
     put(&control.join("control"), &text, 0o644)?;
     put(&control.join("md5sums"), &sums(&package)?, 0o644)?;
     open(&package)?;
-    let name = format!("mom_{}_{}.deb", release.version, architecture.trim());
+    let name = format!("{}_{}_{}.deb", pack.name, release.version, architecture.trim());
     let mut build = Command::new("dpkg-deb");
     // xz is what each dpkg can unpack. The times in it are the commit's at the latest.
     let compress = if release.fast {
@@ -63,65 +63,77 @@ pub(super) fn pack(root: &Path, release: &Release, tree: &Path, out: &Path) -> R
     Ok(name)
 }
 
+/// Where its documents are.
+fn doc(pack: &Pack, package: &Path) -> PathBuf {
+    package.join("usr/share/doc").join(pack.name)
+}
+
 /// Everything where Debian's policy has it.
-fn lay_out(parts: &Path, tree: &Path, package: &Path) -> Result<()> {
+fn lay_out(parts: &Path, pack: &Pack, tree: &Path, package: &Path) -> Result<()> {
     let to = |path: &str| package.join(path);
-    for name in PROGRAMS {
+    for (_, name) in pack.programs {
         copy(&tree.join("bin").join(name), &to("usr/bin").join(name), 0o755)?;
     }
+    for (name, _) in pack.links {
+        symlink(pack.linked(), to("usr/bin").join(name))?;
+    }
+    let doc = doc(pack, package);
     for (from, into) in [
         ("man", "usr/share/man/man1"),
         ("completions/bash", "usr/share/bash-completion/completions"),
         ("completions/zsh", "usr/share/zsh/vendor-completions"),
         ("completions/fish", "usr/share/fish/vendor_completions.d"),
-        ("config", "usr/share/doc/mom/examples"),
     ] {
         for file in kept(&tree.join(from))? {
             let name = file.file_name().context("a file has a name")?;
             copy(&file, &to(into).join(name), 0o644)?;
         }
     }
-    for (from, into, mode) in [
-        ("mom.toml", "etc/mom/mom.toml", 0o644),
-        ("users.toml", "etc/mom/users.toml", 0o640),
-        (
-            "mom-broker.service",
-            "lib/systemd/system/mom-broker.service",
+    for name in pack.configs {
+        copy(
+            &tree.join("config").join(name),
+            &doc.join("examples").join(name),
             0o644,
-        ),
-        // For robots; nobody starts it unasked.
-        (
-            "mom-linuxbot.service",
-            "lib/systemd/system/mom-linuxbot.service",
-            0o644,
-        ),
-        ("debian/copyright", "usr/share/doc/mom/copyright", 0o644),
-    ] {
-        copy(&parts.join(from), &to(into), mode)?;
+        )?;
     }
+    for (from, into, mode) in pack.settings {
+        copy(&parts.join(from), &to(into), *mode)?;
+    }
+    copy(
+        &parts.join(pack.unit),
+        &to("lib/systemd/system").join(pack.unit),
+        0o644,
+    )?;
+    let copyright = fs::read_to_string(parts.join("debian/copyright"))?;
+    put(
+        &doc.join("copyright"),
+        &copyright.replace("@PACKAGE@", pack.name),
+        0o644,
+    )?;
     for name in ["CHANGELOG.md", "licences"] {
-        copy(&tree.join(name), &to("usr/share/doc/mom").join(name), 0o644)?;
+        copy(&tree.join(name), &doc.join(name), 0o644)?;
     }
     Ok(())
 }
 
 /// What changed is told in CHANGELOG.md; Debian's own form says which version this is.
-fn changelog(release: &Release, package: &Path) -> Result<()> {
+fn changelog(pack: &Pack, release: &Release, package: &Path) -> Result<()> {
     let mut date = Command::new("date");
     let date = output(date.args(["--utc", "--rfc-email", "--date", &format!("@{}", release.epoch)]))?;
     let text = format!(
-        "mom ({}) unstable; urgency=medium\n\n  * See CHANGELOG.md.\n\n -- {}  {}\n",
+        "{} ({}) unstable; urgency=medium\n\n  * See CHANGELOG.md.\n\n -- {}  {}\n",
+        pack.name,
         release.version,
         release.maintainer,
         date.trim()
     );
-    put(&package.join("usr/share/doc/mom/changelog"), &text, 0o644)
+    put(&doc(pack, package).join("changelog"), &text, 0o644)
 }
 
 /// The libraries that the programs are linked with, in the versions of which they use something.
-fn needs(tree: &Path) -> Result<String> {
+fn needs(pack: &Pack, tree: &Path) -> Result<String> {
     let mut versions: BTreeMap<&str, Vec<u32>> = BTreeMap::new();
-    for name in PROGRAMS {
+    for (_, name) in pack.programs {
         let told = output(Command::new("objdump").arg("-p").arg(tree.join("bin").join(name)))?;
         for word in told.split_whitespace() {
             for (prefix, package) in [("GLIBC_", "libc6"), ("GCC_", "libgcc-s1")] {
@@ -147,7 +159,7 @@ fn sums(package: &Path) -> Result<String> {
     sums.current_dir(package);
     for file in kept(package)? {
         let inside = file.strip_prefix(package)?;
-        if !inside.starts_with("DEBIAN") && !inside.starts_with("etc") {
+        if !inside.starts_with("DEBIAN") && !inside.starts_with("etc") && !file.is_symlink() {
             sums.arg(inside);
         }
     }

@@ -10,8 +10,8 @@ use serde_json::Value;
 use crate::command::{cargo, output};
 use crate::console;
 
-/// Every library that is linked into the packages' programs: name, version, licence, and the texts that come with it.
-pub(super) fn of(root: &Path, packages: &[&str]) -> Result<String> {
+/// Every library that is linked into the packages' programs, or in the console's page where they have it: name, version, licence, and the texts that come with it.
+pub(super) fn of(root: &Path, packages: &[&str], has_console: bool) -> Result<String> {
     let mut tree = cargo(root);
     tree.args([
         "tree", "--locked", "--edges", "normal", "--prefix", "none", "--format", "{p}",
@@ -34,7 +34,9 @@ pub(super) fn of(root: &Path, packages: &[&str]) -> Result<String> {
             told.insert(heading, texts(Path::new(word("manifest_path")))?);
         }
     }
-    told.extend(bundled(&root.join(console::FOLDER))?);
+    if has_console {
+        told.extend(bundled(&root.join(console::FOLDER))?);
+    }
     let mut all = String::from("The programs contain these libraries.\n");
     for (heading, texts) in told {
         all.push_str(&format!("\n==== {heading}\n{texts}"));
@@ -42,7 +44,7 @@ pub(super) fn of(root: &Path, packages: &[&str]) -> Result<String> {
     Ok(all)
 }
 
-/// What is in the console's page, which is in the programs.
+/// What is in the console's page, which is in programs.
 fn bundled(folder: &Path) -> Result<BTreeMap<String, String>> {
     let read = |path: &Path| -> Result<Value> {
         let text = fs::read(path).with_context(|| format!("{} cannot be read", path.display()))?;
@@ -120,7 +122,7 @@ mod tests {
     #[test]
     fn libraries_are_told_with_their_texts_and_ours_are_not() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-        let told = of(&root, &["mom-proto"]).unwrap();
+        let told = of(&root, &["mom-proto"], true).unwrap();
         assert!(
             told.contains("\n==== bytes 1.") && told.contains("Permission is hereby granted"),
             "{told}"

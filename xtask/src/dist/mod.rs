@@ -1,9 +1,10 @@
-//! `cargo xtask dist`: what is installed: the programs with their pages, as an archive and as a package for Debian.
+//! `cargo xtask dist`: what is installed: the programs with their pages, as archives and as packages for Debian.
 
 mod debian;
 mod files;
 mod licences;
 
+use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{env, fs};
@@ -13,22 +14,79 @@ use anyhow::{Context as _, Result, ensure};
 use crate::command::{cargo, line, output, shows};
 use files::{copy, kept, open, put};
 
-/// The programs that are packed. Each has a package of its name.
-const PROGRAMS: [&str; 13] = [
-    "mom-broker",
-    "mom-arm",
-    "mom-camera",
-    "mom-model",
-    "mom-servo",
-    "mom-mcp",
-    "mom-linuxbot",
-    "mom-base-station",
-    "mom-gateway",
-    "mom-rover",
-    "mom-cubo",
-    "mom-simulacrum",
-    "mom",
+/// The links to `mom-device`, and what each is.
+const LINKS: &[(&str, &str)] = &include!("../../../mom-robot/names.rs");
+
+/// What is installed together, as an archive and as a package for Debian.
+struct Pack {
+    name: &'static str,
+    /// Packages of the workspace, each with its program.
+    programs: &'static [(&'static str, &'static str)],
+    /// Names by which the last of the programs is started too.
+    links: &'static [(&'static str, &'static str)],
+    /// Of the folder `config`.
+    configs: &'static [&'static str],
+    /// A unit for systemd.
+    unit: &'static str,
+    /// What it has of `packages`, where that goes, and its mode.
+    settings: &'static [(&'static str, &'static str, u32)],
+    /// What dpkg runs and reads beside the control file.
+    control: &'static [(&'static str, u32)],
+    /// Whether the console is in its programs.
+    has_console: bool,
+}
+
+const PACKS: [Pack; 2] = [
+    Pack {
+        name: "mom",
+        programs: &[("mom-broker", "mom-broker"), ("mom", "mom")],
+        links: &[],
+        configs: &[
+            "mom.toml",
+            "lab.toml",
+            "two-arms.toml",
+            "fleet.toml",
+            "convoy.toml",
+            "lab-users.toml",
+        ],
+        unit: "mom-broker.service",
+        settings: &[
+            ("mom.toml", "etc/mom/mom.toml", 0o644),
+            ("users.toml", "etc/mom/users.toml", 0o640),
+        ],
+        control: &[
+            ("postinst", 0o755),
+            ("prerm", 0o755),
+            ("postrm", 0o755),
+            ("conffiles", 0o644),
+        ],
+        has_console: true,
+    },
+    Pack {
+        name: "mom-robot",
+        programs: &[("mom-robot", "mom-device")],
+        links: LINKS,
+        configs: &[],
+        // For robots; nobody starts it unasked.
+        unit: "mom-linuxbot.service",
+        settings: &[],
+        control: &[],
+        has_console: false,
+    },
 ];
+
+impl Pack {
+    /// All names by which its programs are started.
+    fn names(&self) -> impl Iterator<Item = &'static str> {
+        let programs = self.programs.iter().map(|(_, program)| *program);
+        programs.chain(self.links.iter().map(|(name, _)| *name))
+    }
+
+    /// The program that its links mean.
+    fn linked(&self) -> &'static str {
+        self.programs.last().map_or("", |(_, program)| program)
+    }
+}
 
 /// What is packed, and whose it is.
 struct Release {
@@ -60,17 +118,27 @@ pub(crate) fn run(root: &Path, programs: Option<&Path>, out: Option<&Path>, fast
         None => build(root)?,
     };
     let release = Release::of(root, fast)?;
-    let tree = out.join(format!("mom-{}-{}-linux", release.version, env::consts::ARCH));
-    lay_out(root, &programs, &tree)?;
-    let package = debian::pack(root, &release, &tree, &out)?;
-    let archive = archive(&release, &tree)?;
-    let container = out.join("Containerfile");
-    copy(&root.join("packages/Containerfile"), &container, 0o644)?;
-    fs::remove_dir_all(&tree)?;
+    let mut files = Vec::new();
+    for pack in &PACKS {
+        let name = format!("{}-{}-{}-linux", pack.name, release.version, env::consts::ARCH);
+        let tree = out.join(name);
+        lay_out(root, pack, &programs, &tree)?;
+        files.push(debian::pack(root, pack, &release, &tree, &out)?);
+        files.push(archive(&release, &tree)?);
+        fs::remove_dir_all(&tree)?;
+    }
+    let container = "Containerfile".to_owned();
+    copy(
+        &root.join("packages").join(&container),
+        &out.join(&container),
+        0o644,
+    )?;
+    files.push(container);
     let mut sums = Command::new("sha256sum");
-    sums.current_dir(&out).args([&package, &archive, "Containerfile"]);
+    sums.current_dir(&out).args(&files);
     put(&out.join("SHA256SUMS"), &output(&mut sums)?, 0o644)?;
-    for file in [&package, &archive, "Containerfile", "SHA256SUMS"] {
+    files.push("SHA256SUMS".to_owned());
+    for file in files {
         println!("{}", out.join(file).display());
     }
     Ok(())
@@ -103,27 +171,33 @@ fn target(root: &Path) -> PathBuf {
 fn build(root: &Path) -> Result<PathBuf> {
     let mut build = cargo(root);
     build.args(["build", "--release", "--locked", "--bins"]);
-    for program in PROGRAMS {
-        build.args(["--package", program]);
+    for (package, _) in PACKS.iter().flat_map(|pack| pack.programs) {
+        build.args(["--package", package]);
     }
     ensure!(shows(&mut build)?, "`{}` failed", line(&build));
     Ok(target(root).join("release"))
 }
 
-/// Puts everything that belongs to the programs into a folder, where the archive and the package take it from.
-fn lay_out(root: &Path, programs: &Path, tree: &Path) -> Result<()> {
+/// Puts everything that belongs to a pack into a folder, where its archive and its package take it from.
+fn lay_out(root: &Path, pack: &Pack, programs: &Path, tree: &Path) -> Result<()> {
     let pages = tree.join("pages");
-    for name in PROGRAMS {
+    fs::create_dir_all(tree.join("bin"))?;
+    for (_, name) in pack.programs {
         let built = programs.join(name);
-        // Before it is stripped: it is the program itself that writes them.
-        output(Command::new(&built).arg("--write-pages").arg(&pages))?;
         let stripped = tree.join("bin").join(name);
-        fs::create_dir_all(tree.join("bin"))?;
         let mut strip = Command::new("strip");
         output(strip.arg("--strip-all").arg("-o").arg(&stripped).arg(&built))?;
         copy(&stripped, &stripped, 0o755)?;
         let bytes = fs::metadata(&stripped)?.len();
         println!("{name}: {:.1} MiB", bytes as f64 / f64::from(1 << 20));
+    }
+    for (name, _) in pack.links {
+        symlink(pack.linked(), tree.join("bin").join(name))?;
+    }
+    for name in pack.names() {
+        // It is the program itself that writes them.
+        let mut write = Command::new(tree.join("bin").join(name));
+        output(write.arg("--write-pages").arg(&pages))?;
     }
     fs::rename(pages.join("man"), tree.join("man"))?;
     fs::rename(&pages, tree.join("completions"))?;
@@ -135,24 +209,21 @@ fn lay_out(root: &Path, programs: &Path, tree: &Path) -> Result<()> {
     for name in ["LICENSE-APACHE", "LICENSE-MIT", "CHANGELOG.md", "README.md"] {
         copy(&root.join(name), &tree.join(name), 0o644)?;
     }
-    for name in [
-        "mom.toml",
-        "lab.toml",
-        "two-arms.toml",
-        "fleet.toml",
-        "convoy.toml",
-        "lab-users.toml",
-    ] {
+    for name in pack.configs {
         copy(
             &root.join("config").join(name),
             &tree.join("config").join(name),
             0o644,
         )?;
     }
-    for unit in ["mom-broker.service", "mom-linuxbot.service"] {
-        copy(&root.join("packages").join(unit), &tree.join(unit), 0o644)?;
-    }
-    put(&tree.join("licences"), &licences::of(root, &PROGRAMS)?, 0o644)?;
+    copy(
+        &root.join("packages").join(pack.unit),
+        &tree.join(pack.unit),
+        0o644,
+    )?;
+    let packages: Vec<&str> = pack.programs.iter().map(|(package, _)| *package).collect();
+    let licences = licences::of(root, &packages, pack.has_console)?;
+    put(&tree.join("licences"), &licences, 0o644)?;
     open(tree)
 }
 

@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use crate::edit::{Change, Edit};
+use crate::fleet::{Address, Robot, Unit};
 use anyhow::{Context as _, Result, ensure};
 use clap::{Parser, Subcommand};
-use mom_base_station::edit::{Change, Edit};
-use mom_base_station::fleet::{Address, Robot, Unit};
 
 const EXAMPLES: &str = "\
 Examples:

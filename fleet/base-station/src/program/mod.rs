@@ -8,16 +8,18 @@ mod tests;
 mod view;
 mod watching;
 
-use std::io::{IsTerminal as _, Write as _, stdout};
+use std::ffi::OsString;
+use std::io::{IsTerminal as _, Write as _, stderr, stdout};
 use std::path::Path;
+use std::process::ExitCode;
 
+use crate::edit::{self, Change, ChangeError, Edit};
+use crate::fleet::{Fleet, Unit};
+use crate::log::{Log, LogFile};
+use crate::script::Script;
+use crate::station::{Settings, Station};
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::Parser as _;
-use mom_base_station::edit::{self, Change, ChangeError, Edit};
-use mom_base_station::fleet::{Fleet, Unit};
-use mom_base_station::log::{Log, LogFile};
-use mom_base_station::script::Script;
-use mom_base_station::station::{Settings, Station};
 use mom_brs::Table;
 use mom_brs::file::{self, EXTENDED};
 use tokio::signal::unix::{Signal, SignalKind, signal};
@@ -27,13 +29,25 @@ use self::args::{Args, Work};
 /// How many entries the view can show.
 const REMEMBERED: usize = 1000;
 
+/// Runs the program with these arguments, of which the first is its name, until it is done or told to end.
+pub fn run(args: Vec<OsString>) -> ExitCode {
+    match carry_out(args) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            // In one line: the file, the place in it, and what is wrong.
+            let _ = writeln!(stderr(), "mom-base-station: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
 /// Begins: what is wrong with the files is told before any robot is spoken to.
 #[tokio::main]
-pub(crate) async fn main() -> Result<()> {
-    if let Some(written) = mom_pages::asked::<Args>() {
+async fn carry_out(args: Vec<OsString>) -> Result<()> {
+    if let Some(written) = mom_pages::asked::<Args>(&args) {
         return Ok(written?);
     }
-    let args = Args::parse();
+    let args = Args::parse_from(args);
     if let Some((edit, done)) = args.work.as_ref().and_then(Work::edit) {
         return change(&args.fleet, &edit, &done);
     }
@@ -115,7 +129,7 @@ fn part(fleet: &Fleet, units: &[Unit]) -> Result<Fleet> {
 }
 
 fn read(path: &Path) -> Result<String> {
-    mom_base_station::edit::read(path).with_context(|| path.display().to_string())
+    crate::edit::read(path).with_context(|| path.display().to_string())
 }
 
 /// Stops all robots that were set in motion, and closes the connections.

@@ -1,10 +1,10 @@
 //! The picture, drawn into memory, what keys do to it, and what the command line takes.
 
+use crate::circuit::Note;
+use crate::fleet::Fleet;
+use crate::log::Entry;
+use crate::station::{Settings, Station};
 use clap::{CommandFactory as _, Parser as _};
-use mom_base_station::circuit::Note;
-use mom_base_station::fleet::Fleet;
-use mom_base_station::log::Entry;
-use mom_base_station::station::{Settings, Station};
 use mom_brs::{Command, Frame, PAPER};
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;

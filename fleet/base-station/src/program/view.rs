@@ -2,10 +2,10 @@
 
 use std::collections::VecDeque;
 
-use mom_base_station::circuit::{Note, State};
-use mom_base_station::fleet::Unit;
-use mom_base_station::log::{Entry, millis, time_of_day};
-use mom_base_station::station::Snapshot;
+use crate::circuit::{Note, State};
+use crate::fleet::Unit;
+use crate::log::{Entry, millis, time_of_day};
+use crate::station::Snapshot;
 use ratatui::Frame;
 use ratatui::crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use ratatui::layout::{Constraint, Layout, Rect};

@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
+use crate::circuit::Taken;
+use crate::fleet::Unit;
+use crate::play::play;
+use crate::script::Script;
+use crate::station::{SendError, Station};
 use anyhow::Result;
-use mom_base_station::circuit::Taken;
-use mom_base_station::fleet::Unit;
-use mom_base_station::play::play;
-use mom_base_station::script::Script;
-use mom_base_station::station::{SendError, Station};
 use mom_brs::Table;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::mpsc::{self, UnboundedSender};

@@ -1,6 +1,5 @@
 //! The base station against robots that were written in another language, from the paper's words alone (`robot.py`), over
 //! real sockets.
 
-mod program;
 mod robot;
 mod station;

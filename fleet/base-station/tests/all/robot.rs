@@ -21,7 +21,8 @@ pub(crate) struct Robot {
 impl Robot {
     pub(crate) async fn start() -> Robot {
         let mut child = Command::new("python3")
-            .arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/robot.py"))
+            // Its text, as packages of other folders use it too.
+            .args(["-c", include_str!("../robot.py")])
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()

@@ -16,12 +16,18 @@ const EXPOSURE: &str = "25";
 
 const PASSWORD: [(&str, &str); 1] = [("MOM_PASSWORD", "secret")];
 
-/// Packs the programs of the tests in the same way as those that are shipped; the package.
-fn packed(out: &Path) -> PathBuf {
+/// The packages for Debian, by their names.
+const PACKAGES: [&str; 2] = ["mom", "mom-robot"];
+
+/// The links to `mom-device`, and what each is.
+const LINKS: &[(&str, &str)] = &include!("../../../../mom-robot/names.rs");
+
+/// Packs the programs of the tests in the same way as those that are shipped; the packages.
+fn packed(out: &Path) -> [PathBuf; 2] {
     packed_with("022", out)
 }
 
-fn packed_with(umask: &str, out: &Path) -> PathBuf {
+fn packed_with(umask: &str, out: &Path) -> [PathBuf; 2] {
     let programs = program("mom");
     let mut dist = Command::new("sh");
     dist.args(["-c", &format!("umask {umask}; exec \"$@\""), "sh"]);
@@ -33,16 +39,22 @@ fn packed_with(umask: &str, out: &Path) -> PathBuf {
     let packed = dist.current_dir(project()).output().expect("it runs");
     let said = text(&packed.stdout) + &text(&packed.stderr);
     assert!(packed.status.success(), "{said}");
-    let package = said.lines().find(|line| line.ends_with(".deb"));
-    package.expect("its name is told").into()
+    PACKAGES.map(|name| {
+        let file = format!("/{name}_");
+        let package = said
+            .lines()
+            .find(|line| line.ends_with(".deb") && line.contains(&file));
+        package.expect("its name is told").into()
+    })
 }
 
-/// A machine that begins with these files and has the package at `/mnt/mom.deb`.
+/// A machine that begins with these files and has the packages at `/mnt/mom.deb` and `/mnt/mom-robot.deb`.
 fn machine(base: &Path) -> io::Result<Machine> {
     let machine = Machine::start(base)?;
     let out = tempfile::tempdir()?;
-    let package = packed(&out.path().join("dist"));
-    std::fs::copy(package, machine.shared().join("mom.deb"))?;
+    for (name, package) in PACKAGES.iter().zip(packed(&out.path().join("dist"))) {
+        std::fs::copy(package, machine.shared().join(format!("{name}.deb")))?;
+    }
     Ok(machine)
 }
 
@@ -52,77 +64,104 @@ fn lines_of(mut command: Command) -> Vec<String> {
     text(&output.stdout).lines().map(str::to_owned).collect()
 }
 
+/// What is in an archive and in a package: the file's path in each.
+const MOM: &[(&str, &str)] = &[
+    ("bin/mom", "./usr/bin/mom"),
+    ("bin/mom-broker", "./usr/bin/mom-broker"),
+    ("man/mom-grab.1", "./usr/share/man/man1/mom-grab.1.gz"),
+    (
+        "man/mom-broker-passwd.1",
+        "./usr/share/man/man1/mom-broker-passwd.1.gz",
+    ),
+    (
+        "completions/bash/mom",
+        "./usr/share/bash-completion/completions/mom",
+    ),
+    ("config/lab.toml", "./usr/share/doc/mom/examples/lab.toml"),
+    ("licences", "./usr/share/doc/mom/licences.gz"),
+    ("mom-broker.service", "./lib/systemd/system/mom-broker.service"),
+];
+const ROBOT: &[(&str, &str)] = &[
+    ("bin/mom-device", "./usr/bin/mom-device"),
+    ("man/mom-device.1", "./usr/share/man/man1/mom-device.1.gz"),
+    ("man/mom-mcp.1", "./usr/share/man/man1/mom-mcp.1.gz"),
+    (
+        "completions/zsh/_mom-arm",
+        "./usr/share/zsh/vendor-completions/_mom-arm",
+    ),
+    (
+        "completions/fish/mom-camera.fish",
+        "./usr/share/fish/vendor_completions.d/mom-camera.fish",
+    ),
+    ("licences", "./usr/share/doc/mom-robot/licences.gz"),
+    (
+        "mom-linuxbot.service",
+        "./lib/systemd/system/mom-linuxbot.service",
+    ),
+];
+
 #[test]
 fn archive_and_package_have_the_same_programs_and_all_pages() {
     let folder = tempfile::tempdir().expect("a folder");
-    let package = packed(&folder.path().join("dist"));
-    let dist = package.parent().expect("a folder");
+    let packages = packed(&folder.path().join("dist"));
+    let dist = packages[0].parent().expect("a folder");
     let mut sums = Command::new("sha256sum");
     sums.current_dir(dist).args(["--check", "SHA256SUMS"]);
     let sums = lines_of(sums);
-    assert_eq!(sums.len(), 3, "{sums:?}");
+    assert_eq!(sums.len(), 5, "{sums:?}");
     // Whoever packs the same commit gets the same files, with other habits too.
     let again = packed_with("077", &folder.path().join("again"));
     let sums_of = |package: &Path| std::fs::read_to_string(package.with_file_name("SHA256SUMS"));
     assert_eq!(
-        sums_of(&package).expect("a file"),
-        sums_of(&again).expect("a file")
+        sums_of(&packages[0]).expect("a file"),
+        sums_of(&again[0]).expect("a file")
     );
-    let archive = sums.iter().find_map(|line| line.split_once(".tar.gz:"));
-    let name = archive.expect("an archive").0;
-    let mut tar = Command::new("tar");
-    tar.current_dir(dist).args(["-tzf", &format!("{name}.tar.gz")]);
-    let archived = lines_of(tar);
-    let mut dpkg = Command::new("dpkg-deb");
-    dpkg.arg("--contents").arg(&package);
-    let installed = lines_of(dpkg);
-    for (tar, deb) in [
-        ("bin/mom", "./usr/bin/mom"),
-        ("bin/mom-broker", "./usr/bin/mom-broker"),
-        ("bin/mom-arm", "./usr/bin/mom-arm"),
-        ("bin/mom-camera", "./usr/bin/mom-camera"),
-        ("bin/mom-model", "./usr/bin/mom-model"),
-        ("bin/mom-servo", "./usr/bin/mom-servo"),
-        ("bin/mom-mcp", "./usr/bin/mom-mcp"),
-        ("bin/mom-linuxbot", "./usr/bin/mom-linuxbot"),
-        ("bin/mom-base-station", "./usr/bin/mom-base-station"),
-        ("bin/mom-gateway", "./usr/bin/mom-gateway"),
-        ("bin/mom-rover", "./usr/bin/mom-rover"),
-        ("bin/mom-cubo", "./usr/bin/mom-cubo"),
-        ("bin/mom-simulacrum", "./usr/bin/mom-simulacrum"),
-        ("man/mom-mcp.1", "./usr/share/man/man1/mom-mcp.1.gz"),
-        ("man/mom-grab.1", "./usr/share/man/man1/mom-grab.1.gz"),
-        (
-            "man/mom-broker-passwd.1",
-            "./usr/share/man/man1/mom-broker-passwd.1.gz",
-        ),
-        (
-            "completions/bash/mom",
-            "./usr/share/bash-completion/completions/mom",
-        ),
-        (
-            "completions/zsh/_mom-arm",
-            "./usr/share/zsh/vendor-completions/_mom-arm",
-        ),
-        (
-            "completions/fish/mom-camera.fish",
-            "./usr/share/fish/vendor_completions.d/mom-camera.fish",
-        ),
-        ("licences", "./usr/share/doc/mom/licences.gz"),
-        ("mom-broker.service", "./lib/systemd/system/mom-broker.service"),
-        (
-            "mom-linuxbot.service",
-            "./lib/systemd/system/mom-linuxbot.service",
-        ),
-    ] {
-        let tar = format!("{name}/{tar}");
-        assert!(archived.contains(&tar), "{tar}: {archived:?}");
-        let deb = format!(" {deb}");
-        let found = installed.iter().find(|line| line.ends_with(&deb));
-        assert!(
-            found.is_some_and(|line| line.contains(" root/root ")),
-            "{deb}: {installed:?}"
-        );
+    let files = [MOM, ROBOT];
+    for ((package, path), files) in PACKAGES.iter().zip(&packages).zip(files) {
+        let begins = |line: &&String| {
+            let rest = line.strip_prefix(package);
+            rest.is_some_and(|rest| rest.starts_with('-') && !rest.starts_with("-robot"))
+        };
+        let archive = sums
+            .iter()
+            .filter(begins)
+            .find_map(|line| line.split_once(".tar.gz:"));
+        let name = archive.expect("an archive").0;
+        let mut tar = Command::new("tar");
+        tar.current_dir(dist).args(["-tvzf", &format!("{name}.tar.gz")]);
+        let archived = lines_of(tar);
+        let mut dpkg = Command::new("dpkg-deb");
+        dpkg.arg("--contents").arg(path);
+        let installed = lines_of(dpkg);
+        let mut files: Vec<(String, String)> = files
+            .iter()
+            .map(|(tar, deb)| ((*tar).to_owned(), (*deb).to_owned()))
+            .collect();
+        if *package == "mom-robot" {
+            let link = |(name, _): &(&str, &str)| {
+                let link = format!("{name} -> mom-device");
+                (format!("bin/{link}"), format!("./usr/bin/{link}"))
+            };
+            files.extend(LINKS.iter().map(link));
+        }
+        for (tar, deb) in files {
+            for (listed, file) in [
+                (&archived, format!(" {name}/{tar}")),
+                (&installed, format!(" {deb}")),
+            ] {
+                let found = listed.iter().find(|line| line.ends_with(&file));
+                assert!(
+                    found.is_some_and(|line| line.contains(" root/root ")),
+                    "{file}: {listed:?}"
+                );
+            }
+        }
+        let programs = installed
+            .iter()
+            .filter(|line| line.contains(" ./usr/bin/mom"))
+            .count();
+        let expected = if *package == "mom" { 2 } else { 1 + LINKS.len() };
+        assert_eq!(programs, expected, "{installed:?}");
     }
 }
 
@@ -199,14 +238,14 @@ impl Unit {
     }
 }
 
-/// The package as an administrator meets it, up to a robot that is driven.
+/// The packages as an administrator meets them, up to a robot that is driven.
 #[test]
 fn who_installs_the_package_drives_a_robot() {
     let machine = match machine(Path::new("/")) {
         Ok(machine) => machine,
         Err(error) => return eprintln!("left out: no machines inside this one: {error}"),
     };
-    let install = "DEBIAN_FRONTEND=noninteractive dpkg --install /mnt/mom.deb";
+    let install = "DEBIAN_FRONTEND=noninteractive dpkg --install /mnt/mom.deb /mnt/mom-robot.deb";
     let told = machine.sh(install, &[]);
     let typed: Vec<&str> = told.lines().filter_map(|line| line.strip_prefix("  ")).collect();
     let [passwd, tree] = typed[..] else {
@@ -276,13 +315,13 @@ fn who_installs_the_package_drives_a_robot() {
     assert_eq!(broker.wait().code(), Some(0));
 
     let left = "ls -d /etc/mom/* /var/lib/mom/* /usr/bin/mom* 2>/dev/null || true";
-    machine.sh("dpkg --remove mom", &[]);
+    machine.sh("dpkg --remove mom mom-robot", &[]);
     let kept = machine.sh(left, &[]);
     assert!(
         kept.contains("/etc/mom/users.toml") && kept.contains("/var/lib/mom/hub.key"),
         "{kept}"
     );
     assert!(!kept.contains("/usr/bin"), "{kept}");
-    machine.sh("dpkg --purge mom", &[]);
+    machine.sh("dpkg --purge mom mom-robot", &[]);
     assert_eq!(machine.sh(left, &[]), "");
 }

@@ -1,11 +1,12 @@
 //! The visual-servoing agent as a program of its own.
 
+use std::ffi::OsString;
 use std::pin::pin;
 
+use crate::peer::{self, ServoOptions};
 use anyhow::Context;
 use clap::Parser;
 use mom_program::{HubArgs, begin, shutdown};
-use mom_servo::peer::{self, ServoOptions};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -38,9 +39,14 @@ struct ServoArgs {
     camera: Vec<String>,
 }
 
+/// Runs the program with these arguments, of which the first is its name, until it is done or told to end.
+///
+/// # Errors
+///
+/// What the program ends by; wrong arguments end the process.
 #[tokio::main]
-async fn main() -> anyhow::Result<()> {
-    let Some(args) = begin::<ServoArgs>("info")? else {
+pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
+    let Some(args) = begin::<ServoArgs>(args, "info")? else {
         return Ok(());
     };
     let mut shutdown = pin!(shutdown()?);

@@ -1,10 +1,11 @@
 //! The model server of the lab as a program of its own.
 
+use std::ffi::OsString;
 use std::pin::pin;
 
+use crate::{Kind, ModelOptions, peer};
 use anyhow::Context;
 use clap::Parser;
-use mom_model::{Kind, ModelOptions, peer};
 use mom_program::{HubArgs, begin, shutdown};
 
 const EXAMPLES: &str = "\
@@ -40,9 +41,14 @@ struct ModelArgs {
     object: Vec<Kind>,
 }
 
+/// Runs the program with these arguments, of which the first is its name, until it is done or told to end.
+///
+/// # Errors
+///
+/// What the program ends by; wrong arguments end the process.
 #[tokio::main]
-async fn main() -> anyhow::Result<()> {
-    let Some(args) = begin::<ModelArgs>("info")? else {
+pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
+    let Some(args) = begin::<ModelArgs>(args, "info")? else {
         return Ok(());
     };
     let mut shutdown = pin!(shutdown()?);

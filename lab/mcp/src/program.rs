@@ -1,18 +1,6 @@
-//! Tools for language models over the Model Context Protocol: an ordinary peer of the hub, which drives only under a
-//! person's grant.
+//! The tools for language models as a program of its own.
 
-mod answer;
-mod assistant;
-mod drive;
-mod id_of;
-mod progress;
-mod script;
-mod server;
-
-mod sight;
-mod stdio;
-mod tools;
-
+use std::ffi::OsString;
 use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
@@ -28,7 +16,7 @@ use tokio::time::timeout;
 
 use crate::assistant::{Assistant, Places};
 use crate::server::{CallOrder, Tools};
-use crate::stdio::Stdio;
+use crate::stdio::{self, Stdio};
 
 /// So long what is under way may take at the end.
 const LAST_TURN: Duration = Duration::from_secs(2);
@@ -71,10 +59,15 @@ struct McpArgs {
     objects: String,
 }
 
+/// Runs the program with these arguments, of which the first is its name, until it is done or told to end.
+///
+/// # Errors
+///
+/// What the program ends by; wrong arguments end the process.
 // One thread: calls of one client begin in the order in which they came.
 #[tokio::main(flavor = "current_thread")]
-async fn main() -> anyhow::Result<()> {
-    let Some(args) = begin::<McpArgs>("info,rmcp=error")? else {
+pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
+    let Some(args) = begin::<McpArgs>(args, "info,rmcp=error")? else {
         return Ok(());
     };
     let mut shutdown = pin!(shutdown()?);

@@ -1,6 +1,11 @@
-//! The program, as people start it.
+//! The base station as people start it, against robots that were written in another language (`robot.py`), over real sockets.
+
+#[path = "../../../fleet/base-station/tests/all/robot.rs"]
+#[allow(dead_code, reason = "the tests of the library ask more of it")]
+mod robot;
 
 use std::io::{BufRead as _, BufReader, Write as _};
+use std::os::unix::process::CommandExt as _;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
@@ -9,12 +14,19 @@ use tempfile::TempDir;
 
 use crate::robot::{Robot, fleet};
 
+/// The program, as its link starts it.
+fn started_as_link() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_mom-device"));
+    command.arg0("mom-base-station");
+    command
+}
+
 /// The program with a fleet of these robots, and a folder for its files.
 fn program(ports: &[u16]) -> (Command, TempDir) {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("fleet.toml");
     std::fs::write(&file, fleet(ports)).expect("a file");
-    let mut command = Command::new(env!("CARGO_BIN_EXE_mom-base-station"));
+    let mut command = started_as_link();
     command.arg("--fleet").arg(file).env_remove("MOM_FLEET");
     (command, folder)
 }
@@ -232,7 +244,7 @@ async fn robots_are_added_changed_and_removed_in_the_file() {
     let (_, folder) = program(&[4001]);
     let file = folder.path().join("hall.toml");
     let edit = async |args: &[&str]| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_mom-base-station"));
+        let mut command = started_as_link();
         command.arg("--fleet").arg(&file).args(args);
         run(command).await
     };
@@ -293,7 +305,7 @@ async fn changes_at_once_are_all_made() {
     let file = folder.path().join("hall.toml");
     let mut adding: Vec<_> = (1..=8)
         .map(|unit| {
-            let mut command = Command::new(env!("CARGO_BIN_EXE_mom-base-station"));
+            let mut command = started_as_link();
             let (unit, address) = (unit.to_string(), format!("10.0.0.{unit}:4000"));
             command.arg("--fleet").arg(&file).args(["add", &unit, &address]);
             command.stdout(std::process::Stdio::null());

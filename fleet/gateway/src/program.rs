@@ -1,22 +1,19 @@
 //! The gateway of a fleet as a program of its own.
 
+use std::ffi::OsString;
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::pin::pin;
 
+use crate::{Changes, FleetFile, GatewayOptions, Taking, connections, lines, settings};
 use anyhow::{Context, anyhow};
 use clap::Parser;
 use mom_base_station::fleet::Fleet;
 use mom_base_station::station::Station;
 use mom_brs::file;
-use mom_gateway::{Changes, FleetFile, GatewayOptions, Taking, connections, lines, run, settings};
 use mom_program::{HubArgs, begin, shutdown};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{mpsc, watch};
-
-/// A thousand robots are a lot of small pieces of memory.
-#[global_allocator]
-static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -52,9 +49,14 @@ struct GatewayArgs {
     hub: HubArgs,
 }
 
+/// Runs the program with these arguments, of which the first is its name, until it is done or told to end.
+///
+/// # Errors
+///
+/// What the program ends by; wrong arguments end the process.
 #[tokio::main]
-async fn main() -> anyhow::Result<()> {
-    let Some(args) = begin::<GatewayArgs>("info")? else {
+pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
+    let Some(args) = begin::<GatewayArgs>(args, "info")? else {
         return Ok(());
     };
     let mut shutdown = pin!(shutdown()?);
@@ -90,7 +92,7 @@ async fn main() -> anyhow::Result<()> {
             () = follow(&args.fleet, hangup, taken) => {}
         }
     };
-    let ended = run(clients, lines, options, Some(changes), ends).await;
+    let ended = crate::run(clients, lines, options, Some(changes), ends).await;
     let left = station.halt().await;
     station.close().await;
     if !left.is_empty() {

@@ -2,6 +2,7 @@
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
+use std::os::unix::process::CommandExt as _;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -23,7 +24,8 @@ struct Program {
 
 impl Program {
     fn start(options: &[&str]) -> Self {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_mom-linuxbot"))
+        let mut child = Command::new(env!("CARGO_BIN_EXE_mom-device"))
+            .arg0("mom-linuxbot")
             .args(["--listen", "127.0.0.1:0", "--web", "127.0.0.1:0"])
             .args(["--robots", "25", "--only", "11"])
             .args(options)

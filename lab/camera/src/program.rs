@@ -1,11 +1,12 @@
 //! The camera of the lab as a program of its own.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::pin::pin;
 
+use crate::{CameraOptions, CameraSettings, Rendition, SettingsChange, Source, SourceUrl, View, peer};
 use anyhow::Context;
 use clap::Parser;
-use mom_camera::{CameraOptions, CameraSettings, Rendition, SettingsChange, Source, SourceUrl, View, peer};
 use mom_program::{HubArgs, begin, shutdown};
 
 const EXAMPLES: &str = "\
@@ -75,9 +76,14 @@ struct CameraArgs {
     trace: Option<PathBuf>,
 }
 
+/// Runs the program with these arguments, of which the first is its name, until it is done or told to end.
+///
+/// # Errors
+///
+/// What the program ends by; wrong arguments end the process.
 #[tokio::main]
-async fn main() -> anyhow::Result<()> {
-    let Some(args) = begin::<CameraArgs>("info")? else {
+pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
+    let Some(args) = begin::<CameraArgs>(args, "info")? else {
         return Ok(());
     };
     let mut shutdown = pin!(shutdown()?);

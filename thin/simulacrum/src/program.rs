@@ -1,17 +1,18 @@
 //! The gateway of thin robots as a program of its own.
 
+use std::ffi::OsString;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::pin::pin;
 
+use crate::{RobotLine, Simulacrum, SimulacrumOptions, chassis, serve};
 use anyhow::{Context, anyhow};
 use clap::Parser;
 use mom_program::{HubArgs, begin, shutdown};
 use mom_rsp::middle::Settings;
 use mom_rsp::{Key, PERIODS};
 use mom_rsp_model::Model;
-use mom_simulacrum::{RobotLine, Simulacrum, SimulacrumOptions, chassis, run, serve};
 use mom_wheels::Chassis;
 use tokio::net::UdpSocket;
 use tokio::sync::watch;
@@ -85,9 +86,14 @@ fn place(text: &str) -> anyhow::Result<(String, SocketAddr)> {
     Ok((path.to_owned(), address))
 }
 
+/// Runs the program with these arguments, of which the first is its name, until it is done or told to end.
+///
+/// # Errors
+///
+/// What the program ends by; wrong arguments end the process.
 #[tokio::main]
-async fn main() -> anyhow::Result<()> {
-    let Some(args) = begin::<SimulacrumArgs>("info")? else {
+pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
+    let Some(args) = begin::<SimulacrumArgs>(args, "info")? else {
         return Ok(());
     };
     let mut shutdown = pin!(shutdown()?);
@@ -111,7 +117,7 @@ async fn main() -> anyhow::Result<()> {
         manager: args.manager,
     };
     let ended = tokio::select! {
-        ended = run(client, lines, options, shutdown) => ended,
+        ended = crate::run(client, lines, options, shutdown) => ended,
         // Without its socket a robot is out of reach, and whoever starts programs may start this one anew.
         Some(link) = links.join_next() => {
             link?.context("a robot's socket failed")?;

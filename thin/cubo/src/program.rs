@@ -1,13 +1,14 @@
 //! CUBO as a program of its own: a thin robot, here a simulated one.
 
+use std::ffi::OsString;
 use std::io::{IsTerminal, Write as _};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::pin::pin;
 
+use crate::{Cubo, CuboHandle, serve, serve_page};
 use anyhow::{Context, bail};
 use clap::Parser;
-use mom_cubo::{Cubo, CuboHandle, serve, serve_page};
 use mom_rsp::Key;
 use mom_rsp::robot::Settings;
 use mom_trace::Trace;
@@ -66,12 +67,17 @@ struct CuboArgs {
     trace: Option<PathBuf>,
 }
 
+/// Runs the program with these arguments, of which the first is its name, until it is done or told to end.
+///
+/// # Errors
+///
+/// What the program ends by; wrong arguments end the process.
 #[tokio::main(flavor = "current_thread")]
-async fn main() -> anyhow::Result<()> {
-    if let Some(written) = mom_pages::asked::<CuboArgs>() {
+pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
+    if let Some(written) = mom_pages::asked::<CuboArgs>(&args) {
         return Ok(written?);
     }
-    let args = CuboArgs::parse();
+    let args = CuboArgs::parse_from(args);
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
     tracing_subscriber::fmt()
         .with_env_filter(filter)
@@ -82,7 +88,7 @@ async fn main() -> anyhow::Result<()> {
         return write_key(file);
     }
     if let Some(file) = &args.write_model {
-        return write_new(file, 0o644, mom_cubo::MODEL);
+        return write_new(file, 0o644, crate::MODEL);
     }
     let pose = match *args.at {
         [x, y, heading] if heading.is_finite() => Pose::new(x, y, heading),

@@ -1,14 +1,15 @@
 //! A robot that is a peer itself, as a program of its own.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::pin::pin;
 use std::time::Duration;
 
+use crate::RoverOptions;
 use anyhow::{Context, bail};
 use clap::Parser;
 use mom_client::Path;
 use mom_program::{HubArgs, begin, shutdown};
-use mom_rover::{RoverOptions, run};
 use mom_trace::Trace;
 use mom_wheeled::{Model, Rover};
 use mom_wheels::{Driver, Floor, Point, Pose, Simulated, Traced};
@@ -82,9 +83,14 @@ struct RoverArgs {
     hub: HubArgs,
 }
 
+/// Runs the program with these arguments, of which the first is its name, until it is done or told to end.
+///
+/// # Errors
+///
+/// What the program ends by; wrong arguments end the process.
 #[tokio::main]
-async fn main() -> anyhow::Result<()> {
-    let Some(mut args) = begin::<RoverArgs>("info")? else {
+pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
+    let Some(mut args) = begin::<RoverArgs>(args, "info")? else {
         return Ok(());
     };
     let mut shutdown = pin!(shutdown()?);
@@ -106,7 +112,7 @@ async fn main() -> anyhow::Result<()> {
         return Ok(());
     };
     let path = options.path.clone();
-    let ended = run(client, rover, options, shutdown).await;
+    let ended = crate::run(client, rover, options, shutdown).await;
     ended.with_context(|| {
         format!(
             "the robot ended; `mom explain --help` says how to learn what {} may do in {path} and its convoy",

@@ -1,13 +1,14 @@
 //! The robot arm of the lab as a program of its own.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::pin::pin;
 use std::time::Duration;
 
+use crate::controller::{Controller, LinkFault, Traced};
+use crate::{ArmMachine, ArmOptions, Mount, peer};
 use anyhow::Context;
 use clap::Parser;
-use mom_arm::controller::{Controller, LinkFault, Traced};
-use mom_arm::{ArmMachine, ArmOptions, Mount, peer};
 use mom_program::{HubArgs, begin, shutdown};
 use mom_trace::Trace;
 
@@ -86,9 +87,14 @@ fn link_fault(text: &str) -> anyhow::Result<LinkFault> {
     })
 }
 
+/// Runs the program with these arguments, of which the first is its name, until it is done or told to end.
+///
+/// # Errors
+///
+/// What the program ends by; wrong arguments end the process.
 #[tokio::main]
-async fn main() -> anyhow::Result<()> {
-    let Some(args) = begin::<ArmArgs>("info")? else {
+pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
+    let Some(args) = begin::<ArmArgs>(args, "info")? else {
         return Ok(());
     };
     let mut shutdown = pin!(shutdown()?);

@@ -1,6 +1,7 @@
 //! The robot server of the fleet as a program of its own.
 #![allow(clippy::print_stdout, reason = "it says where it listens")]
 
+use std::ffi::OsString;
 use std::fmt::Write as _;
 use std::future::Future;
 use std::io::IsTerminal;
@@ -10,10 +11,10 @@ use std::path::PathBuf;
 use std::pin::pin;
 use std::time::Duration;
 
+use crate::{Access, Login, Options, Page, Robot, Rules, serve_observed, serve_page};
 use anyhow::Context;
 use clap::Parser;
 use mom_brs::{Table, file};
-use mom_linuxbot::{Access, Login, Options, Page, Robot, Rules, serve_observed, serve_page};
 use mom_trace::Trace;
 use mom_wheels::{Chassis, Driver, Point, Pose, Simulated, Traced, Watchdog, WheelTime};
 use tokio::net::TcpListener;
@@ -112,12 +113,17 @@ fn time(text: &str) -> anyhow::Result<Duration> {
     Ok(time)
 }
 
+/// Runs the program with these arguments, of which the first is its name, until it is done or told to end.
+///
+/// # Errors
+///
+/// What the program ends by; wrong arguments end the process.
 #[tokio::main]
-async fn main() -> anyhow::Result<()> {
-    if let Some(written) = mom_pages::asked::<LinuxbotArgs>() {
+pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
+    if let Some(written) = mom_pages::asked::<LinuxbotArgs>(&args) {
         return Ok(written?);
     }
-    let args = LinuxbotArgs::parse();
+    let args = LinuxbotArgs::parse_from(args);
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
     tracing_subscriber::fmt()
         .with_env_filter(filter)
