@@ -31,16 +31,17 @@ use self::places::Places;
 use self::subjects::Subjects;
 use self::throttle::Throttle;
 
-pub use book::{GUEST, UserSource, guest};
+pub use book::{UserSource, guest};
+pub use content::{LinkWish, ResumeAnswer, Wishes};
 pub use error::SettingError;
 pub use hashing::LoginStats;
-pub use jwt::Verifier;
+pub use jwt::{JwtConfig, JwtUsers, KeyFile, Verifier};
 pub use key::Challenge;
 pub use password::hash;
-pub use resume::{LinkWish, ResumeAnswer, ResumeChallenge, Secret, Wishes};
-pub use settings::{FailureRate, JwtConfig, JwtUsers, KeyFile, LoginConfig, ThrottleConfig};
+pub use resume::{ResumeChallenge, Secret};
+pub use settings::{FailureRate, LoginConfig, ThrottleConfig};
 pub use throttle::network;
-pub use user::UserEntry;
+pub use user::{GUEST, UserEntry};
 
 /// How a peer that logs in has come.
 #[derive(Clone, Copy, Debug, Default)]
