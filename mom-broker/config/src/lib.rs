@@ -32,8 +32,8 @@ use serde::Deserialize;
 pub use error::{ConfigError, ConfigErrors};
 pub use explain::{Asked, Asking, Explanation, Supposed, message_of};
 pub use listen::{ListenConfig, Network, check_address};
-pub use locate::Location;
 pub use schema::{config_schema, users_schema};
+pub use source::Location;
 pub use tls::TlsConfig;
 pub use web::WebConfig;
 
