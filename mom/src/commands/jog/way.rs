@@ -115,7 +115,11 @@ mod tests {
     }
 
     fn at(x: f64, spin: f64) -> Pose {
-        Pose { x, spin, ..pose::HOME }
+        Pose {
+            x,
+            spin,
+            ..pose::HOME
+        }
     }
 
     #[test]
