@@ -1,7 +1,9 @@
 //! Finds the place of what the hub, managers and logins refuse.
 
+use std::path::Path;
+
 use mom_hub::SetupError;
-use mom_proto::{Value, WireError};
+use mom_proto::{Code, Value, WireError};
 
 use super::source::key_text;
 use super::{Config, ConfigError};
@@ -18,6 +20,16 @@ impl Config {
     /// An error of a named manager.
     pub(crate) fn locate_manager(&self, name: &str, error: &WireError) -> ConfigError {
         self.at(&["managers", name], error)
+    }
+
+    /// What is wrong with one of the files of `[tls]`.
+    pub fn tls_fault(&self, file: &Path, why: &str) -> ConfigError {
+        let key = match self.tls.key.as_deref() == Some(file) {
+            true => "key",
+            false => "certificate",
+        };
+        let text = format!("{}: {why}", file.display());
+        self.at(&["tls", key], &WireError::new(Code::BAD_CONTENT, text))
     }
 
     pub(super) fn at(&self, keys: &[&str], error: &WireError) -> ConfigError {
