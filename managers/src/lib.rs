@@ -14,8 +14,6 @@
 //! assert!(registry.build(&Value::Map(spec)).is_ok());
 //! ```
 
-use mom_proto::{Map, Path};
-
 mod bucket;
 mod builtin;
 mod calendar;
@@ -25,6 +23,7 @@ mod first_come;
 mod given;
 mod held;
 mod level_or_lease;
+mod manager;
 mod moderated;
 mod open;
 mod params;
@@ -41,6 +40,7 @@ mod verdict;
 mod who;
 mod zones;
 
+pub use manager::Manager;
 pub use question::{GivenAnswer, NoTokens, Owner, PeerFacts, Question, TokenFacts, Tokens};
 pub use registry::{Factory, Registry, Setup};
 pub use verdict::{
@@ -51,24 +51,3 @@ pub use verdict::{
 #[cfg(doctest)]
 #[doc = include_str!("../../docs/managers.md")]
 mod guide {}
-
-/// Decides who may do what in the contexts it manages; consulted on all requests (M24).
-pub trait Manager: Send + std::fmt::Debug {
-    /// Answers one question. It denies everything that it does not know to be allowed.
-    fn decide(&mut self, question: &Question<'_>) -> Verdict;
-
-    /// The lease and other terms of its tokens, unless their creator names them.
-    fn terms(&self) -> Terms {
-        Terms::default()
-    }
-
-    /// What it knows of a context that whoever may ask for its `info` should know as well, such as where a zone is.
-    fn facts(&self, _context: &Path) -> Map {
-        Map::new()
-    }
-
-    /// The tokens whose waiters are asked about again when this one becomes free.
-    fn neighbours(&self, _token: &Path) -> Vec<Path> {
-        Vec::new()
-    }
-}
