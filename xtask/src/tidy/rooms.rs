@@ -64,6 +64,8 @@ struct House<'a> {
     files: Vec<(String, Option<Place>, &'a str)>,
     /// The names that the root gives to what is in a room.
     names: BTreeMap<String, String>,
+    /// What the root defines itself.
+    above: BTreeSet<String>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -76,14 +78,16 @@ impl<'a> House<'a> {
     fn of(tree: &'a Tree, package: &'a str, folder: &str, order: &'a str) -> Result<House<'a>> {
         let sources = format!("{}/", join(folder, "src").unwrap_or_default());
         let mut files = Vec::new();
-        let mut names = BTreeMap::new();
+        let (mut names, mut above) = (BTreeMap::new(), BTreeSet::new());
         for (path, how) in reached(tree, folder) {
             let inside = path.strip_prefix(&sources);
             let (Some(inside), Some(text), Use::Shipped) = (inside, tree.text(&path), how) else {
                 continue;
             };
             if inside == "lib.rs" {
-                names = root_names(&RustText::new(text).code);
+                let root = RustText::new(text);
+                names = root_names(&root.code);
+                above = defined(&root.code);
             }
             files.push((path.clone(), place(inside), text));
         }
@@ -94,6 +98,7 @@ impl<'a> House<'a> {
             order: order.split_whitespace().collect(),
             files,
             names,
+            above,
         })
     }
 
@@ -110,6 +115,13 @@ impl<'a> House<'a> {
             };
             for (at, room) in self.used(text, place.depth) {
                 let used = self.order.iter().position(|known| *known == room);
+                if used.is_none() && self.above.contains(&room) {
+                    let text = format!(
+                        "`{}` must not use `{room}` of the root of {}, which is above all rooms: give it a room",
+                        place.room, self.package
+                    );
+                    report(path, line_at(self.text_of(path), at), text);
+                }
                 if used.is_some_and(|used| used < own) {
                     let text = format!(
                         "`{}` must not use `{room}`: a room of {} uses only those after it in {}",
@@ -196,6 +208,30 @@ fn root_names(code: &str) -> BTreeMap<String, String> {
         }
     }
     names
+}
+
+/// The types, traits and functions that are defined in a text outside of all braces.
+fn defined(code: &str) -> BTreeSet<String> {
+    let mut found = BTreeSet::new();
+    let (mut depth, mut done) = (0_usize, 0);
+    let all: Vec<(usize, &str)> = super::rust_text::words(code).collect();
+    for pair in all.windows(2) {
+        let [(at, "struct" | "enum" | "trait" | "fn"), (_, name)] = *pair else {
+            continue;
+        };
+        for byte in code[done..at].bytes() {
+            match byte {
+                b'{' => depth += 1,
+                b'}' => depth = depth.saturating_sub(1),
+                _ => {}
+            }
+        }
+        done = at;
+        if depth == 0 {
+            found.insert(name.to_owned());
+        }
+    }
+    found
 }
 
 /// The places of all paths that begin at the root of the package, each with the offset of what follows `crate::` or
@@ -373,6 +409,30 @@ mod tests {
         ] {
             assert_eq!(faults(part), [] as [&str; 0], "{part}");
         }
+    }
+
+    #[test]
+    fn what_the_root_defines_is_above_all_rooms() {
+        let found = |low: &str| {
+            let files = [
+                ("p/Cargo.toml", "[package]\nname = \"demo\"\n"),
+                (
+                    "p/src/lib.rs",
+                    "mod top; mod middle; mod low;\nmod inner { pub struct In; }\npub struct Whole;\npub type Span = i64;",
+                ),
+                ("p/src/top.rs", ""),
+                ("p/src/middle.rs", ""),
+                ("p/src/low.rs", low),
+            ];
+            found(CHECK, &files)
+        };
+        assert_eq!(found("use crate::Span; use crate::In;"), [] as [&str; 0]);
+        let fault =
+            "`low` must not use `Whole` of the root of demo, which is above all rooms: give it a room";
+        assert_eq!(
+            found("use super::{Span, Whole};"),
+            [format!("p/src/low.rs:1: {fault}")]
+        );
     }
 
     #[test]
