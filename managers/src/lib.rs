@@ -3,7 +3,7 @@
 //! A manager answers one question at a time: may this peer do this here, now? It knows the peer's facts, the
 //! verb, the context and the state of the token, never the content. It does no IO and reads no clock; time
 //! comes with the question. Managers are made from the configuration file or inline at a context's creation
-//! by a [`Registry`]; a new kind is one file and one line there.
+//! by a [`Registry`]; a new kind is one file and one line in `builtin.rs`.
 //!
 //! ```
 //! use mom_managers::Registry;
@@ -14,9 +14,8 @@
 //! assert!(registry.build(&Value::Map(spec)).is_ok());
 //! ```
 
-use mom_proto::{Map, Path};
-
 mod bucket;
+mod builtin;
 mod calendar;
 mod chain;
 mod closed;
@@ -24,6 +23,7 @@ mod first_come;
 mod given;
 mod held;
 mod level_or_lease;
+mod manager;
 mod moderated;
 mod open;
 mod params;
@@ -40,35 +40,14 @@ mod verdict;
 mod who;
 mod zones;
 
-pub use question::{NoTokens, Owner, PeerFacts, Question, TokenFacts, Tokens};
+pub use manager::Manager;
+pub use question::{GivenAnswer, NoTokens, Owner, PeerFacts, Question, TokenFacts, Tokens};
 pub use registry::{Factory, Registry, Setup};
 pub use verdict::{
-    Answer, Ask, Bucket, Defer, Denial, Expiry, GivenAnswer, Grant, Rate, Scope, Standing, Terms, Verdict,
-    Wait,
+    Answer, Ask, Bucket, Defer, Denial, Expiry, Grant, Rate, Scope, Standing, Terms, Verdict, Wait,
 };
 
 // The examples of the guide are compiled and run with the doctests.
 #[cfg(doctest)]
 #[doc = include_str!("../../docs/managers.md")]
 mod guide {}
-
-/// Decides who may do what in the contexts it manages; consulted on all requests (M24).
-pub trait Manager: Send + std::fmt::Debug {
-    /// Answers one question. It denies everything that it does not know to be allowed.
-    fn decide(&mut self, question: &Question<'_>) -> Verdict;
-
-    /// The lease and other terms of its tokens, unless their creator names them.
-    fn terms(&self) -> Terms {
-        Terms::default()
-    }
-
-    /// What it knows of a context that whoever may ask for its `info` should know as well, such as where a zone is.
-    fn facts(&self, _context: &Path) -> Map {
-        Map::new()
-    }
-
-    /// The tokens whose waiters are asked about again when this one becomes free.
-    fn neighbours(&self, _token: &Path) -> Vec<Path> {
-        Vec::new()
-    }
-}

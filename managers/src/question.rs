@@ -4,8 +4,6 @@ use std::sync::Arc;
 
 use mom_proto::{ContextKind, Micros, Path, Time, Verb};
 
-use crate::GivenAnswer;
-
 /// What the hub knows of a peer (M13).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PeerFacts {
@@ -61,6 +59,21 @@ impl Tokens for NoTokens {
     fn token(&self, _path: &Path) -> Option<TokenFacts<'_>> {
         None
     }
+}
+
+/// What a deferred question was answered.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct GivenAnswer {
+    /// The label of the [`Defer`](crate::Defer).
+    pub label: Arc<str>,
+    /// The peer that answered; none if nobody did in time, or nobody could be asked.
+    pub by: Option<Arc<str>>,
+    /// Yes or no.
+    pub allow: bool,
+    /// Whether it may stand for later questions of the same kind.
+    pub stands: bool,
+    /// Plain words, for a no.
+    pub text: String,
 }
 
 /// One request, without its content.

@@ -7,10 +7,7 @@ use mom_proto::nearest::nearest;
 use mom_proto::{Code, Map, Value, WireError, from_value};
 use serde::de::DeserializeOwned;
 
-use crate::{
-    Manager, chain, closed, first_come, level_or_lease, moderated, open, queue, quota, roles, schedule,
-    self_managed, zones,
-};
+use crate::Manager;
 
 /// Makes a manager of one kind.
 pub type Factory = fn(&Setup<'_>) -> Result<Box<dyn Manager>, WireError>;
@@ -38,22 +35,8 @@ pub struct Setup<'a> {
 }
 
 impl Registry {
-    /// The built-in kinds, without named managers.
-    pub fn builtin() -> Registry {
-        let kinds: [(&'static str, Factory); 12] = [
-            ("open", open::make),
-            ("closed", closed::make),
-            ("roles", roles::make),
-            ("first-come", first_come::make),
-            ("level-or-lease", level_or_lease::make),
-            ("queue", queue::make),
-            ("moderated", moderated::make),
-            ("schedule", schedule::make),
-            ("quota", quota::make),
-            ("self", self_managed::make),
-            ("zones", zones::make),
-            ("chain", chain::make),
-        ];
+    /// These kinds, without named managers.
+    pub(crate) fn of(kinds: impl Into<BTreeMap<&'static str, Factory>>) -> Registry {
         Registry {
             kinds: kinds.into(),
             named: BTreeMap::new(),

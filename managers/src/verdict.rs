@@ -6,7 +6,6 @@ use mom_proto::{Code, Micros, Pace};
 use serde::Deserialize;
 
 use crate::PeerFacts;
-use crate::who::fits;
 
 /// An answer, and for how long it stands.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,19 +73,18 @@ impl Ask {
     }
 }
 
-/// What a deferred question was answered.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct GivenAnswer {
-    /// The label of the [`Defer`].
-    pub label: Arc<str>,
-    /// The peer that answered; none if nobody did in time, or nobody could be asked.
-    pub by: Option<Arc<str>>,
-    /// Yes or no.
-    pub allow: bool,
-    /// Whether it may stand for later questions of the same kind.
-    pub stands: bool,
-    /// Plain words, for a no.
-    pub text: String,
+/// The matching rule for names and level.
+pub(crate) fn fits(
+    users: &[String],
+    groups: &[String],
+    min_level: Option<i32>,
+    user: &str,
+    of: &[String],
+    level: i32,
+) -> bool {
+    let unnamed = users.is_empty() && groups.is_empty();
+    let named = || users.iter().any(|listed| listed == user) || groups.iter().any(|group| of.contains(group));
+    min_level.is_none_or(|least| level >= least) && (unnamed || named())
 }
 
 /// A place in the queue instead of a free token.

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use mom_proto::WireError;
 use serde::Deserialize;
 
+use crate::verdict::fits;
 use crate::{Ask, Owner, PeerFacts, Setup};
 
 /// The most names in a text; others are counted.
@@ -95,20 +96,6 @@ impl Who {
             (false, Some(level)) => format!("{} at levels from {level}", names.join(" and ")),
         }
     }
-}
-
-/// The matching rule for names and level.
-pub(crate) fn fits(
-    users: &[String],
-    groups: &[String],
-    min_level: Option<i32>,
-    user: &str,
-    of: &[String],
-    level: i32,
-) -> bool {
-    let unnamed = users.is_empty() && groups.is_empty();
-    let named = || users.iter().any(|listed| listed == user) || groups.iter().any(|group| of.contains(group));
-    min_level.is_none_or(|least| level >= least) && (unnamed || named())
 }
 
 fn some_of(names: &[String]) -> String {

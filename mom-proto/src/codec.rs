@@ -1,8 +1,9 @@
 //! One interface to all codecs: detecting the form, reading frames, writing parcels.
 
-use bytes::{Bytes, BytesMut};
+use bytes::BytesMut;
 
 use crate::binary::BinaryDecoder;
+pub use crate::frame::{Encoded, Frame, Scratch};
 use crate::json::{DeferredLine, JsonDecoder};
 use crate::xml::{DeferredEntity, XmlDecoder};
 use crate::{ContextNumber, Limit, Limits, Parcel, Path, WireError, binary, json, xml};
@@ -117,75 +118,6 @@ impl Form {
             Form::Packed => binary::encode_packed(parcel, &mut Scratch::default()),
         }
     }
-}
-
-/// Memory for encoding: small frames are cut from one block instead of each having its own.
-#[derive(Debug, Default)]
-pub struct Scratch {
-    pub(crate) header: Vec<u8>,
-    pool: BytesMut,
-    block: usize,
-}
-
-impl Scratch {
-    /// A block's size. A frame that waits keeps its whole block, so blocks are not large.
-    const BLOCK: usize = 16 * 1024;
-
-    /// Memory that takes a block at a time; the default takes what each frame needs.
-    pub fn pooled() -> Scratch {
-        Scratch {
-            block: Scratch::BLOCK,
-            ..Scratch::default()
-        }
-    }
-
-    /// Room for one frame of `size` bytes.
-    pub(crate) fn room(&mut self, size: usize) -> &mut BytesMut {
-        if self.pool.capacity() < size {
-            self.pool = BytesMut::with_capacity(size.max(self.block));
-        }
-        &mut self.pool
-    }
-}
-
-/// One encoded frame in two pieces, so that large content is shared and not copied.
-#[derive(Clone, Debug, Default)]
-pub struct Encoded {
-    /// The header, or the whole frame.
-    pub head: Bytes,
-    /// The content, if it is apart.
-    pub body: Bytes,
-}
-
-impl Encoded {
-    /// The frame's size in bytes.
-    pub fn len(&self) -> usize {
-        self.head.len() + self.body.len()
-    }
-
-    /// Whether there is nothing to send.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// The frame in one piece.
-    pub fn to_vec(&self) -> Vec<u8> {
-        [&self.head[..], &self.body[..]].concat()
-    }
-}
-
-/// What a decoder found: one frame.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Frame {
-    /// A parcel.
-    Parcel(Box<Parcel>),
-    /// A healthy frame around a malformed parcel: answer the error, go on.
-    Malformed {
-        /// The parcel's id, as far as it could be read.
-        reference: Option<u64>,
-        /// What is wrong, with slot and position.
-        error: WireError,
-    },
 }
 
 /// Reads frames of one connection, from any split of its bytes.

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::time::Duration;
 
-use crate::{Code, Family, Map, Parcel, Value};
+use crate::{Code, Map, Value};
 
 /// An error with its code, plain words, and the details that apply (design §5).
 ///
@@ -116,15 +116,7 @@ impl WireError {
         self.added_to(Map::new().with("name", self.code.word()))
     }
 
-    /// The error as a parcel: family `error`, name = the code's word.
-    pub fn to_parcel(&self, reference: Option<u64>) -> Parcel {
-        let content = self.added_to(Map::new());
-        let mut parcel = Parcel::new(Family::Error, self.code.word()).content(content);
-        parcel.reference = reference;
-        parcel
-    }
-
-    fn added_to(&self, map: Map) -> Map {
+    pub(crate) fn added_to(&self, map: Map) -> Map {
         let mut map = map
             .with("code", u32::from(self.code.number()))
             .with("text", self.text.as_str());
@@ -132,19 +124,6 @@ impl WireError {
             map.set(key, value.clone());
         }
         map
-    }
-
-    /// Reads an error parcel; one without readable content keeps at least its name.
-    pub fn from_parcel(parcel: &Parcel) -> WireError {
-        let content = parcel
-            .content
-            .as_ref()
-            .and_then(|content| content.to_value().ok());
-        let details = match content {
-            Some(Value::Map(map)) => map,
-            _ => Map::new(),
-        };
-        WireError::read(parcel.name(), details)
     }
 
     /// Reads what [`WireError::to_map`] has made, such as a device's refusal; what is no such map has at least a code.
@@ -156,7 +135,7 @@ impl WireError {
         }
     }
 
-    fn read(word: &str, mut details: Map) -> WireError {
+    pub(crate) fn read(word: &str, mut details: Map) -> WireError {
         let number = details
             .remove("code")
             .and_then(|code| u16::try_from(code.as_int()?).ok())
@@ -186,23 +165,6 @@ impl fmt::Display for WireError {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn an_error_survives_the_wire() {
-        let error = WireError::new(Code::HELD, "alice drives")
-            .rule("lab-token")
-            .owner("alice", 1)
-            .retry_after(Duration::from_micros(1001));
-        let parcel = error.to_parcel(Some(7));
-        assert_eq!(parcel.reference, Some(7));
-        let back = WireError::from_parcel(&parcel);
-        assert_eq!(back, error);
-        assert_eq!(
-            back.retry_in(),
-            Some(Duration::from_millis(2)),
-            "rounded up: never too early"
-        );
-    }
 
     #[test]
     fn as_a_part_of_something_it_has_its_name_inside() {

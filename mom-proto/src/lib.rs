@@ -30,11 +30,11 @@ pub mod event;
 mod family;
 mod fence;
 mod fingerprint;
+mod frame;
 mod gcra;
 pub mod json;
 mod limits;
 mod loss;
-mod map;
 pub mod msgpack;
 mod names;
 pub mod nearest;
@@ -70,7 +70,6 @@ pub use fingerprint::{BadFingerprint, Fingerprint};
 pub use gcra::{Gcra, Pace, Wait};
 pub use limits::{HARD_DEPTH, Limit, Limits, PROTOCOL_VERSION};
 pub use loss::{answers_request, outlives_loss};
-pub use map::Map;
 pub use names::{
     HUB, check_message_name, check_name, check_text, folds_of, is_xml_char, looks_of, numbered_name,
     resembles, xml_violation,
@@ -84,7 +83,7 @@ pub use slots::{ReadSlots, SlotValue, write_slots};
 pub use stamp::{Micros, Time};
 pub use thinning::{MessageRate, Thinning};
 pub use trace::{TRACE, TraceParent};
-pub use value::{Value, ValueKind};
+pub use value::{Map, Value, ValueKind};
 pub use verb::Verb;
 pub use visible::visible;
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::content::map_size;
-use crate::{Content, Delivery, Family, Map, Path, Time, Value};
+use crate::{Content, Delivery, Family, Map, Path, Time, Value, WireError};
 
 /// Ids, references and fences are below 2⁵³, so that every language holds them.
 pub const MAX_ID: u64 = (1 << 53) - 1;
@@ -162,5 +162,53 @@ impl Parcel {
             .as_ref()
             .and_then(|content| content.to_value().ok())
             .unwrap_or_default()
+    }
+}
+
+impl WireError {
+    /// The error as a parcel: family `error`, name = the code's word.
+    pub fn to_parcel(&self, reference: Option<u64>) -> Parcel {
+        let content = self.added_to(Map::new());
+        let mut parcel = Parcel::new(Family::Error, self.code.word()).content(content);
+        parcel.reference = reference;
+        parcel
+    }
+
+    /// Reads an error parcel; one without readable content keeps at least its name.
+    pub fn from_parcel(parcel: &Parcel) -> WireError {
+        let content = parcel
+            .content
+            .as_ref()
+            .and_then(|content| content.to_value().ok());
+        let details = match content {
+            Some(Value::Map(map)) => map,
+            _ => Map::new(),
+        };
+        WireError::read(parcel.name(), details)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+    use crate::Code;
+
+    #[test]
+    fn an_error_survives_the_wire() {
+        let error = WireError::new(Code::HELD, "alice drives")
+            .rule("lab-token")
+            .owner("alice", 1)
+            .retry_after(Duration::from_micros(1001));
+        let parcel = error.to_parcel(Some(7));
+        assert_eq!(parcel.reference, Some(7));
+        let back = WireError::from_parcel(&parcel);
+        assert_eq!(back, error);
+        assert_eq!(
+            back.retry_in(),
+            Some(Duration::from_millis(2)),
+            "rounded up: never too early"
+        );
     }
 }

@@ -5,8 +5,8 @@ use std::{env, fmt, fs};
 
 use mom_client::{Address, Builder, Client, ClientError, Code, Identity, Key, Proof, WireError};
 
-use crate::cli::GlobalArgs;
 use crate::failure::Failure;
+use crate::global::GlobalArgs;
 use crate::output::Output;
 
 /// How often whatever moves says that it is there: a silent link is lost after three times that.

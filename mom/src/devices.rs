@@ -4,9 +4,9 @@ use clap::Subcommand;
 use mom_client::Client;
 use mom_drive::VerbFailure;
 
-use crate::cli::GlobalArgs;
 use crate::connect::{Stay, connect};
 use crate::failure::Failure;
+use crate::global::GlobalArgs;
 use crate::interrupt::Interrupt;
 use crate::output::Output;
 

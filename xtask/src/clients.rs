@@ -6,8 +6,8 @@ use std::process::{Command, Stdio};
 use anyhow::{Context as _, Result, bail};
 
 use crate::command::{line, output, output_within};
+use crate::counts::{Counts, LIMIT};
 use crate::javascript;
-use crate::test::{Counts, LIMIT};
 
 /// Where the packages for the client in Python are, from the workspace's folder; `cargo xtask test --install` makes it.
 pub(crate) const PYTHON: &str = "target/python/bin/python";

@@ -9,7 +9,7 @@ use std::time::SystemTime;
 use anyhow::{Context as _, Result, bail};
 
 use crate::command::{cargo, line};
-use crate::test::Counts;
+use crate::counts::Counts;
 use crate::{javascript, npm};
 
 /// Where it is, from the workspace's folder.

@@ -5,8 +5,8 @@ use std::path::Path;
 use anyhow::{Context as _, Result};
 
 use crate::command::output;
+use crate::counts::Counts;
 use crate::npm;
-use crate::test::Counts;
 
 /// Where it is, from the workspace's folder.
 pub(crate) const FOLDER: &str = "clients/js";

@@ -13,6 +13,7 @@ mod ci;
 mod clients;
 mod command;
 mod console;
+mod counts;
 mod dist;
 mod experiments;
 mod instructions;

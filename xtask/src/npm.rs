@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use anyhow::{Context as _, Result, bail};
 
 use crate::command::{line, output_within, program, shows};
-use crate::test::{Counts, LIMIT};
+use crate::counts::{Counts, LIMIT};
 
 /// npm in this folder of the workspace.
 pub(crate) fn npm(root: &Path, folder: &str, args: &[&str]) -> Command {

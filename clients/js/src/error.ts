@@ -1,5 +1,4 @@
-import { type Fields, fieldsOf, int, text } from "./value.js";
-import type { Parcel } from "./parcel.js";
+import { type Fields, int, text } from "./value.js";
 
 /**
  * What kind of failure it is: `refused` by the hub, no `connection` now (with the code `lost` if what was said never left, and `unknown` if
@@ -79,36 +78,11 @@ export class MomError extends Error {
   get mayReconnect(): boolean {
     return this.kind === "connection" || this.kind === "timed-out" || this.number < 200 || Math.floor(this.number / 100) === 3;
   }
-
-  /** @internal */
-  static of(parcel: Parcel, kind: ErrorKind = "refused"): MomError {
-    const content = fieldsOf(parcel.content);
-    const said = text(content, "text") ?? "the hub gives no reason";
-    return new MomError(kind, parcel.name, said, int(content, "code") ?? 299, content);
-  }
 }
 
 /** @internal */
 export function local(code: string, text: string): MomError {
   return new MomError("local", code, text);
-}
-
-/** What is said of a parcel that was dropped; after a loss, what had left is never said to be unsent. */
-const DROPPED: Record<string, string> = {
-  lost: "the connection was lost before it had left",
-  unknown: "the connection was lost when it had left, and it is unknown whether the hub has read it",
-  withdrawn: "a later stop withdrew it before it had left",
-};
-
-/** @internal */
-export function dropped(parcel: Parcel, reason: string, cause?: MomError): MomError {
-  const why = DROPPED[reason] ?? "it was dropped";
-  return new MomError("connection", reason, `${nameOf(parcel)}: ${why}${cause ? ` (${cause.text})` : ""}`, 305);
-}
-
-/** @internal A parcel, as people are told of it. */
-export function nameOf({ family, name, context }: Parcel): string {
-  return `${family} ${name}${context === undefined ? "" : ` ${context}`}`;
 }
 
 /** @internal */

@@ -1,7 +1,7 @@
 import type { MomError } from "./error.js";
 import type { Parcel } from "./parcel.js";
-import { type StopState, stopSlot, stopStateOf } from "./latch.js";
 import { Queue } from "./queue.js";
+import { type StopState, stopSlot, stopStateOf } from "./stops.js";
 import { type Fields, type Value, fieldsOf, int, list, text } from "./value.js";
 
 /** The kind of a context. */

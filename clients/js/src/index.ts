@@ -3,15 +3,15 @@
  *
  * @packageDocumentation
  */
-export { connect, Client, type ContextSpec, type Thinning } from "./client.js";
+export { connect, Client, type ContextSpec, type Thinning } from "./contexts/client.js";
 export { endPeer, type LinkCredential } from "./end.js";
-export { Session, type Joined } from "./session.js";
-export { Channel, type MessageOptions, type Receipt } from "./channel.js";
-export { Token, TokenGuard, InhibitGuard, Given, type GrabOptions, type GiveOptions } from "./token.js";
-export { Latch, type Held, type StopState, type Turn } from "./latch.js";
-export { isObeyed, type DeviceAnswer, type DeviceWord, type StopOptions, type StopReport, type ToldChannel } from "./stops.js";
-export { Device, type Machine } from "./obey.js";
-export { Consult } from "./consult.js";
+export { Session, type Joined } from "./contexts/session.js";
+export { Channel, type MessageOptions, type Receipt } from "./contexts/channel.js";
+export { Token, TokenGuard, InhibitGuard, Given, type GrabOptions, type GiveOptions } from "./contexts/token.js";
+export { Latch, type Held, type Turn } from "./latch.js";
+export { isObeyed, type DeviceAnswer, type DeviceWord, type StopOptions, type StopReport, type StopState, type ToldChannel } from "./stops.js";
+export { Device, type Machine } from "./contexts/obey.js";
+export { Consult } from "./contexts/consult.js";
 export { Key } from "./key.js";
 export { MomError, type ErrorKind } from "./error.js";
 export { report, type Report } from "./report.js";

@@ -1,47 +1,7 @@
 // The device's side of stops: what holds, by the order of causes, and what it waits for.
 import type { Event, MessageEvent } from "./events.js";
-import type { Parcel } from "./parcel.js";
-import { type Fields, Time, type Value, fieldsOf, int, list, text } from "./value.js";
-
-/** How the devices of a channel stand by the hub's books, or how one of them does. */
-export interface StopState {
-  /** The number of the newest stop; 0 before the first. An unstop names it. */
-  number: number;
-  /** Whether a stop holds. */
-  stopped: boolean;
-  /** The peer that said it. */
-  by?: string;
-  /** That peer's user. */
-  user?: string;
-  /** Since when. */
-  since?: Time;
-  /** Why, in that peer's words. */
-  reason?: string;
-  /** The devices that are stopped, if it is not all of the channel. */
-  only: string[];
-  /** Devices that were let go by name while all others are stopped. */
-  except?: string[];
-}
-
-/** @internal From the map that the hub tells of stops; where it tells none, nothing was ever stopped. */
-export function stopStateOf(value: Value | undefined): StopState {
-  const fields = fieldsOf(value);
-  const state: StopState = { number: int(fields, "number") ?? 0, stopped: fields["stopped"] === true, only: list(fields, "only").map(String) };
-  const except = list(fields, "except").map(String);
-  if (except.length) state.except = except;
-  for (const key of ["by", "user", "reason"] as const) {
-    const word = text(fields, key);
-    if (word !== undefined) state[key] = word;
-  }
-  if (fields["since"] instanceof Time) state.since = fields["since"];
-  return state;
-}
-
-/** @internal The number that a stop has, or that an unstop names. */
-export function stopSlot({ extra }: Parcel): number | undefined {
-  const slot = extra instanceof Map ? extra.get("stop") : extra?.["stop"];
-  return typeof slot === "number" && slot >= 0 ? slot : undefined;
-}
+import type { StopState } from "./stops.js";
+import { type Fields, fieldsOf, text } from "./value.js";
 
 /**
  * What a device does about an event: it halts (`stop`), and moves no more until it is told so; it may move again (`free`); it halts, and the

@@ -4,7 +4,7 @@ import { MomError, local } from "./error.js";
 import { CAN_INFLATE } from "./inflater.js";
 import { type Said, saidOf } from "./ledger.js";
 import type { ConnectOptions } from "./options.js";
-import type { Parcel } from "./parcel.js";
+import { type Parcel, errorOf } from "./parcel.js";
 import { hmac, join } from "./sha256.js";
 import { type Fields, Time, fieldsOf, int, text } from "./value.js";
 import type { Wire } from "./wire.js";
@@ -41,7 +41,7 @@ async function ask(wire: Wire, nextId: NextId, name: string, content: Fields): P
   for (;;) {
     const parcel = await wire.next();
     // What the hub says without being asked is why it closes.
-    if (parcel.family === "error" && (parcel.reference === id || parcel.reference === undefined)) throw MomError.of(parcel);
+    if (parcel.family === "error" && (parcel.reference === id || parcel.reference === undefined)) throw errorOf(parcel);
     if (parcel.family === "reply" && parcel.reference === id) return parcel;
   }
 }

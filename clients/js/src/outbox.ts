@@ -1,8 +1,8 @@
 // What waits to be sent.
 import { encode } from "./binary.js";
-import { dropped, local } from "./error.js";
+import { local } from "./error.js";
 import { abort, chunk } from "./frames.js";
-import type { Parcel } from "./parcel.js";
+import { type Parcel, dropped } from "./parcel.js";
 import type { Pipe } from "./pipe.js";
 import { AGAIN, type Marks, STOP, isPerishable, keyOf, laneOf, passes, waitsBehind, withdraws } from "./precedence.js";
 import { wallMicros } from "./value.js";

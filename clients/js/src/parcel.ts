@@ -1,5 +1,5 @@
-import type { Time, Value } from "./value.js";
-import type { MomError } from "./error.js";
+import { type ErrorKind, MomError } from "./error.js";
+import { type Time, type Value, fieldsOf, int, text } from "./value.js";
 
 /** The first half of a parcel's class. */
 export type Family = "message" | "login" | "context" | "token" | "manager" | "event" | "reply" | "error" | "time";
@@ -36,4 +36,29 @@ export interface Parcel {
   size?: number;
   /** Why the content cannot be read: the hub passes on what it was given. */
   fault?: MomError;
+}
+
+/** @internal The error that the hub has said. */
+export function errorOf(parcel: Parcel, kind: ErrorKind = "refused"): MomError {
+  const content = fieldsOf(parcel.content);
+  const said = text(content, "text") ?? "the hub gives no reason";
+  return new MomError(kind, parcel.name, said, int(content, "code") ?? 299, content);
+}
+
+/** What is said of a parcel that was dropped; after a loss, what had left is never said to be unsent. */
+const DROPPED: Record<string, string> = {
+  lost: "the connection was lost before it had left",
+  unknown: "the connection was lost when it had left, and it is unknown whether the hub has read it",
+  withdrawn: "a later stop withdrew it before it had left",
+};
+
+/** @internal */
+export function dropped(parcel: Parcel, reason: string, cause?: MomError): MomError {
+  const why = DROPPED[reason] ?? "it was dropped";
+  return new MomError("connection", reason, `${nameOf(parcel)}: ${why}${cause ? ` (${cause.text})` : ""}`, 305);
+}
+
+/** @internal A parcel, as people are told of it. */
+export function nameOf({ family, name, context }: Parcel): string {
+  return `${family} ${name}${context === undefined ? "" : ` ${context}`}`;
 }

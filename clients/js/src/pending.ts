@@ -1,5 +1,5 @@
-import { MomError, nameOf } from "./error.js";
-import type { Parcel } from "./parcel.js";
+import { MomError } from "./error.js";
+import { type Parcel, errorOf, nameOf } from "./parcel.js";
 
 interface Waiting {
   parcel: Parcel;
@@ -39,7 +39,7 @@ export class Pending {
     clearTimeout(waiting.timer);
     if (waiting.over) {
       if (reply.family === "reply") waiting.late?.(reply);
-    } else if (reply.family === "error") waiting.reject(MomError.of(reply));
+    } else if (reply.family === "error") waiting.reject(errorOf(reply));
     else waiting.resolve(reply);
     return true;
   }

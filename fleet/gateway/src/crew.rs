@@ -11,15 +11,15 @@ use mom_base_station::fleet::{Fleet, Robot as Entry};
 use mom_base_station::station::Station;
 use mom_client::{Channel, Client, ClientError};
 use mom_device::DeviceTime;
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::{mpsc, watch};
 use tokio::task::{JoinError, JoinSet};
 use tokio::time::Instant;
 
 use crate::Unit;
-use crate::editor::FleetFile;
-use crate::peer::{GatewayOptions, ROBOTS_PER_CONNECTION, RobotSite, RobotWire};
+use crate::editor::{FleetFile, Taking};
 use crate::robot::{Leaving, Robot};
-use crate::station::line;
+use crate::site::{GatewayOptions, ROBOTS_PER_CONNECTION, RobotSite};
+use crate::station::{RobotWire, line};
 
 /// Fleets that are to be taken over, one after the other, and the base station whose robots they are.
 #[derive(Debug)]
@@ -32,15 +32,6 @@ pub struct Changes {
     pub present: watch::Sender<Fleet>,
     /// Where it is kept, if people at the hub may edit it.
     pub file: Option<FleetFile>,
-}
-
-/// A fleet that is to be taken over.
-#[derive(Debug)]
-pub struct Taking {
-    /// As the file says it.
-    pub fleet: Fleet,
-    /// Hears whether it was, or why not.
-    pub told: Option<oneshot::Sender<Result<(), String>>>,
 }
 
 /// A robot that lives.

@@ -16,14 +16,22 @@ use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::spawn_blocking;
 use tokio::time::sleep;
 
-use crate::crew::Taking;
-use crate::peer::{GatewayOptions, RobotSite};
+use crate::site::{GatewayOptions, RobotSite};
 
 /// Edits that may wait; one of them is a person's work of seconds.
 const WAITING: usize = 32;
 
 /// So often a spare looks whether it is to edit.
 const LOOK_AGAIN: Duration = Duration::from_secs(2);
+
+/// A fleet that is to be taken over.
+#[derive(Debug)]
+pub struct Taking {
+    /// As the file says it.
+    pub fleet: Fleet,
+    /// Hears whether it was, or why not.
+    pub told: Option<oneshot::Sender<Result<(), String>>>,
+}
 
 /// The file that people may edit.
 #[derive(Debug)]

@@ -9,12 +9,14 @@ mod editor;
 mod peer;
 pub mod program;
 mod robot;
+mod site;
 mod station;
 mod unit;
 pub mod verb;
 
-pub use crew::{Changes, Taking};
-pub use editor::FleetFile;
-pub use peer::{GatewayOptions, RobotWire, connections, run};
-pub use station::{lines, settings};
+pub use crew::Changes;
+pub use editor::{FleetFile, Taking};
+pub use peer::run;
+pub use site::{GatewayOptions, connections};
+pub use station::{RobotWire, lines, settings};
 pub use unit::Unit;

@@ -16,8 +16,8 @@ use tokio::task::yield_now;
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
 use crate::Unit;
-use crate::peer::{News, RobotSite, RobotWire};
-use crate::station::is_stop;
+use crate::site::RobotSite;
+use crate::station::{News, RobotWire, is_stop};
 
 /// So long a robot may take to say that it stands before the program ends all the same.
 const LAST_STOP: Duration = Duration::from_secs(1);

@@ -9,8 +9,34 @@ use mom_brs::{Code, Frame};
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::{RecvError, TryRecvError};
 
-use crate::RobotWire;
-use crate::peer::News;
+/// What is heard of a robot over its wire.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum News {
+    /// It takes commands.
+    Linked,
+    /// It does not any more, for this reason.
+    Lost(String),
+    /// It never did since, for this reason, which is told once until it is another one.
+    Unreached(String),
+    /// It has said this.
+    Reply(Frame),
+}
+
+/// The wire to one robot.
+pub struct RobotWire {
+    /// The robot's number.
+    pub unit: u32,
+    /// With whom it is driven together.
+    pub group: Option<String>,
+    /// What is heard of it, in order.
+    pub(crate) heard: Heard,
+    /// Sends it a frame; why it was not sent.
+    pub send: Box<dyn Fn(Frame) -> Result<(), String> + Send + Sync>,
+    /// Ends its connection, and drops what is under way on it.
+    pub give_up: Box<dyn Fn() + Send + Sync>,
+    /// Connects it (true), or leaves it to others: a robot has one base station at a time.
+    pub connect: Box<dyn Fn(bool) + Send + Sync>,
+}
 
 /// How a gateway's base station behaves: it asks robots each second whether they are there, and gives one up that does not answer for
 /// three, as people wait for it; the paper asks each 10 s (W8).

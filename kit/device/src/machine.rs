@@ -4,7 +4,10 @@ use std::fmt;
 
 use mom_client::Map;
 
-use crate::{Attachments, DeviceError, DeviceTime, STATE_PERIOD, Sample, Script, Word, Words};
+use crate::{Attachments, DeviceError, DeviceTime, Sample, Script, Word, Words};
+
+/// µs between two states while a device moves, unless its machine says otherwise: 20 Hz.
+pub const STATE_PERIOD: DeviceTime = 50_000;
 
 /// A device without its queue, its owner and its link: what its actions are, and how it carries one out.
 ///

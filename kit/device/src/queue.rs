@@ -9,8 +9,6 @@ use crate::{AtRest, DeviceError, DeviceTime, ErrorName, MAX_ATTACHED, Machine, S
 
 mod hand_over;
 
-/// µs between two states while a device moves, unless its machine says otherwise: 20 Hz.
-pub const STATE_PERIOD: DeviceTime = 50_000;
 /// The most commands that wait behind the one being carried out.
 pub const MAX_WAITING: usize = 64;
 

@@ -12,7 +12,7 @@
 //! | tiles of the floor, panels of the walls | 500 mm | assumed: they show that it drives |
 //! | heading scale, at the top | a mark for each 15°, a long one for each 45°, and the colour of the wall at 0, 90, 180 and 270° | ours |
 
-use crate::simulated::Wall;
+use crate::wall::Wall;
 use crate::{Floor, Pose};
 
 /// The width of the picture, pixels.

@@ -45,6 +45,7 @@ mod parameters;
 pub mod pilot;
 pub mod simulated;
 mod traced;
+mod wall;
 mod watchdog;
 
 pub use driver::{Driver, DriverError, Fault, MOTOR_LIMIT, Motors, Parts, Pose, Sensors, switch};

@@ -214,7 +214,7 @@ mod tests {
         /// However it is driven: inside, reachable, no faster than it may, and at rest in the end.
         #[test]
         fn a_jog_stays_inside_and_ends_at_rest(wanted in proptest::collection::vec((velocity(), 1_i64..80), 1..12)) {
-            let (mut pose, mut now, mut jog) = (crate::arm::HOME, 0, None::<Jog>);
+            let (mut pose, mut now, mut jog) = (crate::pose::HOME, 0, None::<Jog>);
             for (velocity, ticks) in wanted {
                 let mut next = Jog::begin(velocity, now + ticks * TICK, jog.as_ref());
                 for _ in 0..ticks {

@@ -40,6 +40,7 @@
 //! # Ok::<(), mom_device::DeviceError>(())
 //! ```
 
+pub mod action;
 pub mod arm;
 pub mod blocks;
 pub mod contact;
@@ -60,17 +61,20 @@ pub mod state;
 pub mod status;
 mod upright_box;
 pub mod workspace;
+pub mod zone_keeper;
 mod zone_watch;
 pub mod zones;
 
+pub use action::Action;
 pub use arm::Arm;
 pub use blocks::Block;
+pub use controller::Grip;
 pub use jog::Velocity;
 pub use machine::ArmMachine;
 pub use motion::ArmTime;
 pub use peer::ArmOptions;
 pub use pose::Pose;
-pub use script::{Action, Grip, Script, Statement};
+pub use script::{Script, Statement};
 pub use state::{ArmEvent, ArmState, CommandState, Executing, Gripper, ScriptProgress};
 pub use status::Status;
 pub use zones::{Mount, Zones};

@@ -5,14 +5,13 @@ use std::collections::VecDeque;
 use mom_client::{Map, Value};
 use mom_device::{DeviceError, ErrorName, Machine, Sample, Word, Words};
 
-use crate::arm::HOME;
+use crate::action::{self, Action};
 use crate::blocks::Block;
-use crate::controller::{Controller, Instruction, Progress, Reading, Simulated, WATCHDOG};
+use crate::controller::{Controller, Grip, Instruction, Progress, Reading, Simulated, WATCHDOG};
 use crate::jog::{self, Jog};
 use crate::motion::ArmTime;
 use crate::path;
-use crate::pose::Pose;
-use crate::script::{self, Action, Grip};
+use crate::pose::{HOME, Pose};
 use crate::zones::Closed;
 
 /// What a controller moves: the legs of a statement one after the other, each checked against the closed zones when it begins.
@@ -242,7 +241,7 @@ impl Machine for ArmMachine {
     type Action = Action;
 
     const NAME: &str = "the arm";
-    const VERBS: &[&str] = script::VERBS;
+    const VERBS: &[&str] = action::VERBS;
     const TOLERANCE: f64 = 0.5;
     const COMPLETES: bool = true;
 
@@ -276,7 +275,7 @@ impl Machine for ArmMachine {
 
     fn plan(&mut self, script: &mom_device::Script<Action>) -> Result<(), DeviceError> {
         self.check_link()?;
-        script::check_jogs(script)?;
+        action::check_jogs(script)?;
         let never_waits = script.actions().any(|(action, _)| Self::never_waits(action));
         if self.jog.is_some() && !never_waits {
             let text = "the arm is being jogged, so where it will be is not known; send the command when it is at rest";

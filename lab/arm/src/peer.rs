@@ -15,8 +15,9 @@ use tokio::time::Instant;
 use crate::blocks::Block;
 use crate::controller::{LinkFault, Simulated};
 use crate::machine::ArmMachine;
+use crate::zone_keeper::ZoneKeeper;
 use crate::zone_watch::{ZoneEvent, ZoneWatch};
-use crate::zones::{Mount, ZoneKeeper, Zones};
+use crate::zones::{Mount, Zones};
 
 /// The channel of the arm.
 #[derive(Debug, Clone, PartialEq)]

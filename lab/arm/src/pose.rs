@@ -57,6 +57,9 @@ impl From<Pose> for Value {
     }
 }
 
+/// The initial pose of the hand, and the target of `home`.
+pub const HOME: Pose = Pose::new(0.0, 0.0, 300.0, 0.0, 0.0);
+
 impl Pose {
     /// A pose from its five numbers: mm, mm, mm, degrees, degrees.
     #[must_use]

@@ -21,12 +21,12 @@
 
 use rs_opw_kinematics::glam::{DMat3, DQuat, DVec3};
 
-use crate::arm::HOME;
-use crate::controller::Instruction;
+use crate::action::Action;
+use crate::controller::{Grip, Instruction};
 use crate::path;
-use crate::pose::Pose;
+use crate::pose::{HOME, Pose};
 use crate::reach;
-use crate::script::{Action, Grip, Script, Statement};
+use crate::script::{Script, Statement};
 use mom_device::DeviceError;
 
 /// The digital output that closes the gripper.
@@ -75,7 +75,7 @@ pub fn instruction(instruction: &Instruction) -> Result<String, DeviceError> {
 /// As [`path::check`], with the statement's number: what cannot be carried out has no text.
 ///
 /// ```
-/// use mom_arm::{arm::HOME, rapid};
+/// use mom_arm::{pose::HOME, rapid};
 ///
 /// let lines = rapid::lines(&"grip close; move 100 50 300 0 0; wait 500".parse()?, &HOME)?;
 /// assert_eq!(lines[0], ["SetDO do_gripper,1;"]);

@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use crate::blocks::Block;
+use crate::controller::Grip;
 use crate::pose::Pose;
-use crate::script::Grip;
 use mom_device::DeviceError;
 
 /// How far a command has come (M42).

@@ -12,7 +12,7 @@ use mom_client::{
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until};
 
-use crate::zones::ZoneNews;
+use crate::zone_keeper::ZoneNews;
 
 /// Between two questions for all zones.
 const AGAIN: Duration = Duration::from_secs(5);

@@ -4,9 +4,8 @@
 use mom_client::{Map, Value};
 
 use crate::geometry::Point;
-use crate::renderer::{MOST_BLOCKS, MOST_POSES, half_edges};
 use crate::robot::ToolFrame;
-use crate::scene::{DrawnBlock, DrawnPose, Scene};
+use crate::scene::{DrawnBlock, DrawnPose, MOST_BLOCKS, MOST_POSES, Scene, half_edges};
 
 /// How far the pose's mark goes from the tip along the gripper and along the jaw line, mm.
 const ALONG: f64 = 60.0;

@@ -16,9 +16,9 @@ use tokio::task::{JoinHandle, JoinSet, spawn_blocking};
 use tokio::time::{Instant, sleep_until};
 
 use crate::calibration::{CalibrationFile, CalibrationKeeper};
+use crate::pan::CameraTime;
 use crate::pan::Mount;
 use crate::pan::peer::RunningMount;
-use crate::server::CameraTime;
 use crate::source::{self, Sight};
 use crate::{CameraSettings, ImageServer, ServerOptions, SettingsError, Source, View};
 

@@ -1,20 +1,15 @@
 //! One camera: a view with its settings, from a scene to an encoded image.
 
-use nalgebra::Rotation3;
 use tiny_skia::Pixmap;
 
 use crate::draw::{self, Canvas};
 use crate::encode::encode;
-use crate::geometry::{Direction, Point};
+use crate::geometry::Point;
 use crate::robot::{self, ToolFrame};
-use crate::scene::{DrawnBlock, Scene};
+use crate::scene::{DrawnBlock, MOST_BLOCKS, MOST_POSES, Scene, half_edges};
 use crate::solid::Solid;
 use crate::view;
 use crate::{Camera, CameraSettings, Format, Overlay, SettingsError, View};
-
-/// More blocks and poses than these are not drawn, so that no scene can hold the camera up.
-pub(crate) const MOST_BLOCKS: usize = 64;
-pub(crate) const MOST_POSES: usize = 200;
 
 /// Renders scenes as one of the cameras sees them.
 ///
@@ -156,12 +151,4 @@ fn block(block: &DrawnBlock) -> Solid {
         half_edges(block),
         block.colour,
     )
-}
-
-/// Half the block's edges, from its middle.
-pub(crate) fn half_edges(block: &DrawnBlock) -> [Direction; 3] {
-    let yaw = Rotation3::from_axis_angle(&Direction::z_axis(), block.yaw.to_radians());
-    let tilt = Rotation3::from_axis_angle(&Direction::x_axis(), block.tilt.to_radians());
-    let axes = [Direction::x(), Direction::y(), Direction::z()];
-    std::array::from_fn(|i| yaw * tilt * axes[i] * (block.size[i] / 2.0))
 }

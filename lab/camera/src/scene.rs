@@ -1,8 +1,10 @@
 //! What a camera sees: the arm's state, read from the arm's parcels.
 
+use nalgebra::Rotation3;
 use serde::de::{Deserializer, IgnoredAny};
 use serde::{Deserialize, Serialize};
 
+use crate::geometry::Direction;
 use crate::pan::Aim;
 
 /// The opening of the jaws when the arm says only "open", mm.
@@ -14,6 +16,9 @@ const LARGEST: f64 = 2_000.0;
 
 /// More letters of a block's name are left out.
 const LONGEST: usize = 40;
+/// More blocks and poses than these are not drawn, so that no scene can hold the camera up.
+pub(crate) const MOST_BLOCKS: usize = 64;
+pub(crate) const MOST_POSES: usize = 200;
 
 /// Everything that is drawn.
 ///
@@ -228,6 +233,14 @@ impl DrawnBlock {
             colour: self.colour,
         }
     }
+}
+
+/// Half the block's edges, from its middle.
+pub(crate) fn half_edges(block: &DrawnBlock) -> [Direction; 3] {
+    let yaw = Rotation3::from_axis_angle(&Direction::z_axis(), block.yaw.to_radians());
+    let tilt = Rotation3::from_axis_angle(&Direction::x_axis(), block.tilt.to_radians());
+    let axes = [Direction::x(), Direction::y(), Direction::z()];
+    std::array::from_fn(|i| yaw * tilt * axes[i] * (block.size[i] / 2.0))
 }
 
 fn finite(value: f64) -> f64 {

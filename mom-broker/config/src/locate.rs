@@ -1,40 +1,12 @@
 //! Finds the place of what the hub, managers and logins refuse.
 
-use std::fmt;
 use std::path::Path;
 
 use mom_hub::SetupError;
-use mom_proto::{Value, WireError};
-use serde::Serialize;
+use mom_proto::{Code, Value, WireError};
 
 use super::source::key_text;
 use super::{Config, ConfigError};
-
-/// A position in the configuration.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Location {
-    /// The file.
-    pub file: String,
-    /// The line, from 1.
-    pub line: usize,
-    /// The key, such as `managers.lab.rules[2]`.
-    pub key: String,
-}
-
-impl Location {
-    /// The file's name without its folder, for those who do not sit at this machine.
-    pub fn file_name(&self) -> String {
-        let name = Path::new(&self.file).file_name();
-        name.map(|name| name.to_string_lossy().into_owned())
-            .unwrap_or_default()
-    }
-}
-
-impl fmt::Display for Location {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "{}:{}", self.file, self.line)
-    }
-}
 
 impl Config {
     /// An error that the hub found, with its position in the file.
@@ -48,6 +20,16 @@ impl Config {
     /// An error of a named manager.
     pub(crate) fn locate_manager(&self, name: &str, error: &WireError) -> ConfigError {
         self.at(&["managers", name], error)
+    }
+
+    /// What is wrong with one of the files of `[tls]`.
+    pub fn tls_fault(&self, file: &Path, why: &str) -> ConfigError {
+        let key = match self.tls.key.as_deref() == Some(file) {
+            true => "key",
+            false => "certificate",
+        };
+        let text = format!("{}: {why}", file.display());
+        self.at(&["tls", key], &WireError::new(Code::BAD_CONTENT, text))
     }
 
     pub(super) fn at(&self, keys: &[&str], error: &WireError) -> ConfigError {

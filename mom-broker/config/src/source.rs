@@ -2,14 +2,43 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::fmt;
+use std::path::Path;
 
 use mom_toml_faults::Spot;
+use serde::Serialize;
 use serde::de::DeserializeOwned;
 use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue, Deserializer};
 
+use super::ConfigError;
 use super::error::FaultPlace;
-use super::{ConfigError, Location};
+
+/// A position in the configuration.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Location {
+    /// The file.
+    pub file: String,
+    /// The line, from 1.
+    pub line: usize,
+    /// The key, such as `managers.lab.rules[2]`.
+    pub key: String,
+}
+
+impl Location {
+    /// The file's name without its folder, for those who do not sit at this machine.
+    pub fn file_name(&self) -> String {
+        let name = Path::new(&self.file).file_name();
+        name.map(|name| name.to_string_lossy().into_owned())
+            .unwrap_or_default()
+    }
+}
+
+impl fmt::Display for Location {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{}:{}", self.file, self.line)
+    }
+}
 
 /// A file's name and text, for errors that come after it was read.
 #[derive(Clone, Debug, Default)]

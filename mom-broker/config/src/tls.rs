@@ -2,10 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use mom_proto::{Code, WireError};
 use serde::Deserialize;
-
-use crate::{Config, ConfigError};
 
 /// The `[tls]` of the configuration.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -29,18 +26,6 @@ impl Default for TlsConfig {
             self_signed: false,
             hosts: vec!["localhost".to_owned()],
         }
-    }
-}
-
-impl Config {
-    /// What is wrong with one of the files of `[tls]`.
-    pub fn tls_fault(&self, file: &Path, why: &str) -> ConfigError {
-        let key = match self.tls.key.as_deref() == Some(file) {
-            true => "key",
-            false => "certificate",
-        };
-        let text = format!("{}: {why}", file.display());
-        self.at(&["tls", key], &WireError::new(Code::BAD_CONTENT, text))
     }
 }
 

@@ -11,10 +11,8 @@ use super::hashing::Hashing;
 use super::jwt::{Proven, Verifier};
 use super::key::parse_key;
 use super::password;
+use super::user::GUEST;
 use crate::{LoginConfig, SettingError, UserEntry};
-
-/// The user and the group of guests.
-pub const GUEST: &str = "guest";
 
 /// Where a user comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -5,8 +5,6 @@ use mom_proto::{
     Code, Compression, Map, Parcel, ReadCount, SECRET_BYTES, Value, ValueKind, WireError, check_name,
 };
 
-use crate::resume::{LinkWish, ResumeAnswer, Wishes};
-
 /// A login request.
 #[derive(Debug)]
 pub(super) struct LoginRequest {
@@ -35,6 +33,41 @@ impl std::fmt::Debug for ClaimedProof {
             ClaimedProof::Token(_) => "Token",
             ClaimedProof::Guest => "Guest",
         })
+    }
+}
+
+/// What a login asks for beside the proof of who it is.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Wishes {
+    /// That its connection may be lost and come back.
+    pub link: Option<LinkWish>,
+    /// How often both sides say that they are there, ms.
+    pub heartbeat: Option<u64>,
+    /// How its connection may be compressed, what it would rather have first.
+    pub compress: Vec<Compression>,
+}
+
+/// A link that is asked for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LinkWish {
+    /// For how long the peer may be away, ms.
+    pub grace: Option<u64>,
+}
+
+/// The answer to it.
+#[derive(Clone)]
+pub struct ResumeAnswer {
+    pub(crate) proof: Vec<u8>,
+    /// What the peer has read of the hub.
+    pub read: ReadCount,
+}
+
+impl std::fmt::Debug for ResumeAnswer {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter
+            .debug_struct("ResumeAnswer")
+            .field("read", &self.read)
+            .finish_non_exhaustive()
     }
 }
 

@@ -6,6 +6,7 @@ mod error;
 mod hashing;
 mod jwt;
 mod key;
+mod link;
 mod password;
 mod places;
 mod resume;
@@ -20,7 +21,7 @@ use std::sync::Arc;
 
 use dashmap::DashMap;
 use mom_hub::{PeerId, User};
-use mom_proto::{Code, Fingerprint, Parcel, Time, WireError};
+use mom_proto::{Code, Parcel, Time, WireError};
 use mom_system::{Clock, Expiry};
 use parking_lot::RwLock;
 
@@ -31,38 +32,18 @@ use self::places::Places;
 use self::subjects::Subjects;
 use self::throttle::Throttle;
 
-pub use book::{GUEST, UserSource, guest};
+pub use book::{UserSource, guest};
+pub use content::{LinkWish, ResumeAnswer, Wishes};
 pub use error::SettingError;
 pub use hashing::LoginStats;
-pub use jwt::Verifier;
+pub use jwt::{JwtConfig, JwtUsers, KeyFile, Verifier};
 pub use key::Challenge;
+pub use link::LoginLink;
 pub use password::hash;
-pub use resume::{LinkWish, ResumeAnswer, ResumeChallenge, Secret, Wishes};
-pub use settings::{FailureRate, JwtConfig, JwtUsers, KeyFile, LoginConfig, ThrottleConfig};
+pub use resume::{ResumeChallenge, Secret};
+pub use settings::{FailureRate, LoginConfig, ThrottleConfig};
 pub use throttle::network;
-pub use user::UserEntry;
-
-/// How a peer that logs in has come.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct LoginLink {
-    /// From where, none inside this process.
-    pub from: Option<IpAddr>,
-    /// A proxy says so: even if that is this machine, the way from the proxy to here is not known.
-    pub relayed: bool,
-    /// Nobody between can read along, however far that is.
-    pub private: bool,
-    /// The certificate that it has shown and proved to have the key of.
-    pub certificate: Option<Fingerprint>,
-}
-
-impl LoginLink {
-    /// Whether nobody else can read what is said on it.
-    pub fn is_private(&self) -> bool {
-        // A dual-stack listener sees IPv4 loopback as an IPv4-mapped IPv6 address.
-        let local = |from: IpAddr| from.to_canonical().is_loopback() && !self.relayed;
-        self.private || self.from.is_none_or(local)
-    }
-}
+pub use user::{GUEST, UserEntry};
 
 /// The next step of a login that is not refused.
 #[derive(Debug)]

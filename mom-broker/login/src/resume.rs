@@ -5,33 +5,14 @@ use std::time::Duration;
 
 use hmac::{Hmac, Mac};
 use mom_proto::{
-    Code, Compression, LINK_CONTEXT, Map, Micros, NONCE_BYTES, Parcel, ReadCount, SECRET_BYTES, Value,
-    WireError, link_challenge,
+    Code, LINK_CONTEXT, Map, Micros, NONCE_BYTES, Parcel, SECRET_BYTES, Value, WireError, link_challenge,
 };
 use sha2::Sha256;
 
-use crate::content;
+use crate::content::{self, ResumeAnswer};
 
 /// The longest id of a link that is looked at.
 const LONGEST_ID: usize = 64;
-
-/// What a login asks for beside the proof of who it is.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Wishes {
-    /// That its connection may be lost and come back.
-    pub link: Option<LinkWish>,
-    /// How often both sides say that they are there, ms.
-    pub heartbeat: Option<u64>,
-    /// How its connection may be compressed, what it would rather have first.
-    pub compress: Vec<Compression>,
-}
-
-/// A link that is asked for.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct LinkWish {
-    /// For how long the peer may be away, ms.
-    pub grace: Option<u64>,
-}
 
 /// What only the hub and one peer know.
 #[derive(Clone, PartialEq, Eq)]
@@ -44,14 +25,6 @@ pub struct ResumeChallenge {
     hub: String,
     nonce: [u8; NONCE_BYTES],
     until: Micros,
-}
-
-/// The answer to it.
-#[derive(Clone)]
-pub struct ResumeAnswer {
-    pub(crate) proof: Vec<u8>,
-    /// What the peer has read of the hub.
-    pub read: ReadCount,
 }
 
 impl Secret {
@@ -72,15 +45,6 @@ impl Secret {
 impl fmt::Debug for Secret {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.write_str("Secret(…)")
-    }
-}
-
-impl fmt::Debug for ResumeAnswer {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter
-            .debug_struct("ResumeAnswer")
-            .field("read", &self.read)
-            .finish_non_exhaustive()
     }
 }
 
@@ -141,7 +105,7 @@ impl ResumeAnswer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use mom_proto::Family;
+    use mom_proto::{Family, ReadCount};
 
     fn challenge(link: &str) -> Result<ResumeChallenge, WireError> {
         let parcel = Parcel::new(Family::Login, "resume").content(Map::new().with("link", link));

@@ -5,10 +5,11 @@ use mom_proto::{Fingerprint, Map, check_name};
 use serde::Deserialize;
 
 use crate::SettingError;
-use crate::book::GUEST;
 use crate::key::parse_key;
 use crate::password::is_hash;
 
+/// The user and the group of guests.
+pub const GUEST: &str = "guest";
 /// The most keys of one user: all are tried at each login, so that the time reveals nothing.
 const KEYS: usize = 16;
 

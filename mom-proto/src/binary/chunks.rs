@@ -11,7 +11,7 @@ use bytes::{Bytes, BytesMut};
 use super::decoder::broken;
 use super::wire::{FieldReader, put_varint};
 use super::{KIND_CHUNK, KIND_PARCEL};
-use crate::codec::Encoded;
+use crate::frame::Encoded;
 use crate::{Code, Limit, WireError};
 
 const FIRST: u8 = 1;

@@ -9,7 +9,7 @@ use super::header::HeaderBounds;
 use super::plain::Plain;
 use super::words::NameCache;
 use super::{FIRST_SKIPPABLE_KIND, KIND_CHUNK, KIND_PARCEL, PREFACE_MAGIC, header};
-use crate::codec::Frame;
+use crate::frame::Frame;
 use crate::{Code, ContextNumber, Limit, Limits, PROTOCOL_VERSION, Parcel, Path, WireError};
 
 /// Reads the preface and then frames; learns the numbers of contexts from parcels that bind them.

@@ -52,7 +52,7 @@ pub use decoder::BinaryDecoder;
 pub use plain::{ParcelRun, Plain, checksum_word, cut, first, whole};
 pub use words::WORDS;
 
-use crate::codec::{Encoded, Scratch};
+use crate::frame::{Encoded, Scratch};
 use crate::{Content, PROTOCOL_VERSION, Packed, Parcel, WireError};
 
 /// The first four bytes of a connection that speaks this form; no UTF-8 text begins so.

@@ -10,7 +10,7 @@ use super::header::{
     CONTENT, CONTEXT_NUMBER, DELIVERY, ECHO, ID, NAME, PRIORITY, SENDER, TIMESTAMP, presence,
 };
 use super::wire::{put_name, put_varint, put_zigzag};
-use crate::codec::Encoded;
+use crate::frame::Encoded;
 use crate::{ContextNumber, MAX_ID, Parcel, Time, checksum};
 
 /// The slots that a plain message may have.

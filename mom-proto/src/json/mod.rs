@@ -26,7 +26,7 @@ mod tests;
 
 use bytes::{Buf, Bytes, BytesMut};
 
-use crate::codec::Frame;
+use crate::frame::Frame;
 use crate::{Code, Limits, WireError};
 
 pub use write::{encode, encode_within};

@@ -7,7 +7,7 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use bytes::Bytes;
 
-use crate::codec::Encoded;
+use crate::frame::Encoded;
 use crate::msgpack::{self, Item, ItemReader, key_twice};
 use crate::names::position_of;
 use crate::slots::check_extra;

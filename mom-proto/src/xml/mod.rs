@@ -27,7 +27,7 @@ mod tests;
 
 use bytes::{Buf, Bytes, BytesMut};
 
-use crate::codec::Frame;
+use crate::frame::Frame;
 use crate::{Code, Limits, WireError};
 
 use head::{Body, EntityHead, Media};

@@ -9,7 +9,7 @@ use base64::engine::general_purpose::STANDARD;
 use bytes::Bytes;
 use memchr::memmem::Finder;
 
-use crate::codec::Encoded;
+use crate::frame::Encoded;
 use crate::msgpack::{self, Item, ItemReader, key_twice};
 use crate::names::position_of;
 use crate::slots::check_extra;

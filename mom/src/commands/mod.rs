@@ -17,6 +17,7 @@ mod grab;
 mod hold;
 mod inhibit;
 mod invite;
+mod jog;
 mod keygen;
 mod lab;
 mod logs;
@@ -38,7 +39,6 @@ mod what_if;
 use crate::cli::{Cli, Command};
 use crate::doctor;
 use crate::failure::Failure;
-use crate::jog;
 use crate::output::Output;
 use crate::top;
 

@@ -7,8 +7,16 @@ use sha2::{Digest as _, Sha256};
 
 use crate::model::{Model, ModelElement, kind_word, number_word};
 
+impl Model {
+    /// The text that is hashed.
+    #[must_use]
+    pub fn canonical(&self) -> String {
+        text_of(self)
+    }
+}
+
 /// The whole text. Another form gets another first line, so that no two forms have one hash.
-pub(crate) fn text(model: &Model) -> String {
+fn text_of(model: &Model) -> String {
     let mut text = format!(
         "mom-rsp-model 1\nmodel {} {}\nperiod {}\nlargest-packet {}\nwatchdog {}\n",
         model.name, model.id, model.period, model.largest_packet, model.watchdog
@@ -20,7 +28,7 @@ pub(crate) fn text(model: &Model) -> String {
 }
 
 pub(crate) fn hash(model: &Model) -> [u8; 32] {
-    Sha256::digest(text(model)).into()
+    Sha256::digest(text_of(model)).into()
 }
 
 /// The first four bytes of the hash of an element's lines.

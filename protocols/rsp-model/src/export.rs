@@ -4,7 +4,15 @@ use mom_rsp::{Kind, Motion, Payload};
 
 use crate::model::{Model, ModelElement, Quantity, bounds, kind_word, number_word};
 
-pub(crate) fn toml(model: &Model) -> String {
+impl Model {
+    /// The model as a TOML file, which gives the same model again. Comments are not part of a model.
+    #[must_use]
+    pub fn to_toml(&self) -> String {
+        toml(self)
+    }
+}
+
+fn toml(model: &Model) -> String {
     let mut text = format!("name = {}\nid = {}\n", quoted(&model.name), model.id);
     if !model.doc.is_empty() {
         text.push_str(&format!("doc = {}\n", quoted(&model.doc)));

@@ -39,6 +39,7 @@ pub mod generate;
 mod keys;
 mod model;
 mod quantities;
+mod read;
 mod text;
 #[cfg(feature = "verb")]
 pub mod verb;

@@ -100,18 +100,16 @@ mod refused;
 pub mod robot;
 mod seal;
 mod sequence;
-mod size;
 mod sound;
 mod traffic;
 pub mod typed;
 
 pub use fragment::{FRAGMENT, Fragment};
 pub use header::{Counters, Direction, Dropped, Header, Type, VERSION};
-pub use layout::{Element, Kind, Layout, Motion, Number, Payload};
+pub use layout::{Element, Kind, Layout, LayoutFault, Motion, Number, Payload};
 pub use packet::{Item, Items, Writer};
 pub use refused::Refused;
 pub use sequence::is_newer;
-pub use size::LayoutFault;
 pub use sound::{AudioCodec, Sound};
 
 /// A key that both ends share.

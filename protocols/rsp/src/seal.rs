@@ -1,6 +1,6 @@
 //! What the key of both ends is used for: codes on the handshake, and sealed packets.
 
-use crate::size::TAG;
+use crate::layout::TAG;
 use crate::{Dropped, Header, Key};
 
 /// The keys of both directions of a session.

@@ -1,8 +1,8 @@
 //! What both ends keep of a session: counters of both directions, and the keys.
 
+use crate::layout::TAG;
 use crate::seal::{self, Keys};
 use crate::sequence::Window;
-use crate::size::TAG;
 use crate::{Direction, Dropped, Header, Layout, Type, VERSION};
 
 /// One end's part of a session.

@@ -1,5 +1,6 @@
 //! `cargo xtask tidy`: what the compiler does not check. One file per check, each with the reason for its rule.
 
+mod circles;
 mod citations;
 mod codes;
 mod glossary;
@@ -10,8 +11,10 @@ mod modules;
 mod names;
 mod orphans;
 mod purity;
+mod room_order;
 mod rooms;
 mod rust_text;
+mod script_rooms;
 mod size;
 mod tree;
 mod turns;
@@ -51,6 +54,7 @@ const CHECKS: &[(&str, Check)] = &[
     ("imports", imports::check),
     ("imports", imports::check_resolved),
     ("rooms", rooms::check),
+    ("rooms", script_rooms::check),
     ("purity", purity::check),
     ("leftover", leftovers::check),
     ("link", links::check),

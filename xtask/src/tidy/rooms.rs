@@ -6,88 +6,17 @@ use std::collections::{BTreeMap, BTreeSet};
 use anyhow::{Context as _, Result, ensure};
 
 use super::Report;
+use super::circles::circles;
 use super::modules::{Use, packages, reached};
+use super::room_order::ROOMS;
 use super::rust_text::RustText;
 use super::tree::{Tree, join, line_at};
-
-/// The rooms of a package from the top down. The files that cargo starts from, such as `lib.rs`, are no rooms and may
-/// use all; what only tests compile is free.
-const ROOMS: &[(&str, &[&str])] = &[
-    (
-        "mom-hub",
-        &[
-            "hub",
-            "verbs",
-            "contexts",
-            "stops",
-            "ownership",
-            "asking",
-            "world",
-            "messages",
-            "tree",
-            "token",
-            "heard",
-            "content",
-            "values",
-            "peer_id",
-        ],
-    ),
-    (
-        "mom-broker",
-        &[
-            "program",
-            "reload",
-            "broker",
-            "inquiry",
-            "web",
-            "connection",
-            "traffic",
-        ],
-    ),
-    (
-        "mom-client",
-        &[
-            "control", "contexts", "link", "peer", "device", "wire", "said", "words", "error", "refusal",
-        ],
-    ),
-    (
-        "mom-net",
-        &[
-            "tcp",
-            "local",
-            "transceiver",
-            "queue",
-            "flow",
-            "part",
-            "reader",
-            "writer",
-            "compressed",
-            "socket",
-            "websocket",
-            "tunnel",
-            "dial",
-            "http",
-            "carrier",
-            "tls",
-            "turn",
-            "options",
-            "proxy",
-            "takes",
-            "outgoing",
-            "address",
-            "spare",
-            "secret_id",
-            "link",
-            "error",
-        ],
-    ),
-];
 
 pub(crate) fn check(tree: &Tree, report: &mut Report<'_>) -> Result<()> {
     check_rooms(ROOMS, tree, report)
 }
 
-fn check_rooms(table: &[(&str, &[&str])], tree: &Tree, report: &mut Report<'_>) -> Result<()> {
+fn check_rooms(table: &[(&str, &str)], tree: &Tree, report: &mut Report<'_>) -> Result<()> {
     let mut folders = BTreeMap::new();
     for folder in packages(tree) {
         let manifest = join(folder, "Cargo.toml").and_then(|path| tree.text(&path));
@@ -108,21 +37,15 @@ fn check_rooms(table: &[(&str, &[&str])], tree: &Tree, report: &mut Report<'_>) 
         if table.iter().any(|(listed, _)| listed == package) {
             continue;
         }
-        if let Ok(house) = House::of(tree, package, folder, &[])
+        if let Ok(house) = House::of(tree, package, folder, "")
             && house.lines() > SMALL
         {
-            match (house.circles(), CIRCLES_LEFT.contains(&package.as_str())) {
-                (circles, false) => circles
-                    .into_iter()
-                    .for_each(|text| report(&house.manifest, 1, text)),
-                (circles, true) if circles.is_empty() => {
-                    report(
-                        &house.manifest,
-                        1,
-                        format!("no rooms of {package} are a circle: take it out of CIRCLES_LEFT"),
-                    );
-                }
-                _ => {}
+            for circle in circles(&house.uses()) {
+                let text = format!(
+                    "{} of {package} use each other: a room uses only those below it",
+                    circle.join(", ")
+                );
+                report(&house.manifest, 1, text);
             }
         }
     }
@@ -132,32 +55,17 @@ fn check_rooms(table: &[(&str, &[&str])], tree: &Tree, report: &mut Report<'_>) 
 /// A package of no more lines is one room.
 const SMALL: usize = 2000;
 
-/// Packages whose rooms still use each other in circles. None may come, and one without a circle is to leave.
-const CIRCLES_LEFT: &[&str] = &[
-    "mom",
-    "mom-arm",
-    "mom-camera",
-    "mom-config",
-    "mom-device",
-    "mom-gateway",
-    "mom-login",
-    "mom-managers",
-    "mom-proto",
-    "mom-rsp",
-    "mom-rsp-model",
-    "mom-wheels",
-    "xtask",
-];
-
 /// One package.
 struct House<'a> {
     package: &'a str,
     manifest: String,
-    order: &'a [&'a str],
+    order: Vec<&'a str>,
     /// Its shipped files: path, room, and how deep its module lies below the root; none = no room.
     files: Vec<(String, Option<Place>, &'a str)>,
     /// The names that the root gives to what is in a room.
     names: BTreeMap<String, String>,
+    /// What the root defines itself.
+    above: BTreeSet<String>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -167,17 +75,19 @@ struct Place {
 }
 
 impl<'a> House<'a> {
-    fn of(tree: &'a Tree, package: &'a str, folder: &str, order: &'a [&'a str]) -> Result<House<'a>> {
+    fn of(tree: &'a Tree, package: &'a str, folder: &str, order: &'a str) -> Result<House<'a>> {
         let sources = format!("{}/", join(folder, "src").unwrap_or_default());
         let mut files = Vec::new();
-        let mut names = BTreeMap::new();
+        let (mut names, mut above) = (BTreeMap::new(), BTreeSet::new());
         for (path, how) in reached(tree, folder) {
             let inside = path.strip_prefix(&sources);
             let (Some(inside), Some(text), Use::Shipped) = (inside, tree.text(&path), how) else {
                 continue;
             };
             if inside == "lib.rs" {
-                names = root_names(&RustText::new(text).code);
+                let root = RustText::new(text);
+                names = root_names(&root.code);
+                above = defined(&root.code);
             }
             files.push((path.clone(), place(inside), text));
         }
@@ -185,9 +95,10 @@ impl<'a> House<'a> {
         Ok(House {
             package,
             manifest: join(folder, "Cargo.toml").unwrap_or_default(),
-            order,
+            order: order.split_whitespace().collect(),
             files,
             names,
+            above,
         })
     }
 
@@ -196,7 +107,7 @@ impl<'a> House<'a> {
             let Some(place) = place else { continue };
             let Some(own) = self.order.iter().position(|room| *room == place.room) else {
                 let text = format!(
-                    "`{}` has no place among the rooms of {}: add it to ROOMS of xtask/src/tidy/rooms.rs",
+                    "`{}` has no place among the rooms of {}: add it to ROOMS of xtask/src/tidy/room_order.rs",
                     place.room, self.package
                 );
                 report(path, 1, text);
@@ -204,6 +115,13 @@ impl<'a> House<'a> {
             };
             for (at, room) in self.used(text, place.depth) {
                 let used = self.order.iter().position(|known| *known == room);
+                if used.is_none() && self.above.contains(&room) {
+                    let text = format!(
+                        "`{}` must not use `{room}` of the root of {}, which is above all rooms: give it a room",
+                        place.room, self.package
+                    );
+                    report(path, line_at(self.text_of(path), at), text);
+                }
                 if used.is_some_and(|used| used < own) {
                     let text = format!(
                         "`{}` must not use `{room}`: a room of {} uses only those after it in {}",
@@ -215,7 +133,7 @@ impl<'a> House<'a> {
                 }
             }
         }
-        for room in self.order {
+        for room in &self.order {
             let exists = |place: &Option<Place>| place.as_ref().is_some_and(|place| place.room == *room);
             if !self.files.iter().any(|(_, place, _)| exists(place)) {
                 let text = format!("ROOMS names `{room}`, which {} does not have", self.package);
@@ -228,44 +146,15 @@ impl<'a> House<'a> {
         self.files.iter().map(|(_, _, text)| text.lines().count()).sum()
     }
 
-    /// Each set of rooms that use each other, in words.
-    fn circles(&self) -> Vec<String> {
-        let mut circles = Vec::new();
-        let mut uses: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
+    /// The rooms that each room uses.
+    fn uses(&self) -> BTreeMap<String, BTreeSet<String>> {
+        let mut uses: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
         for (_, place, text) in &self.files {
             let Some(place) = place else { continue };
             let used = self.used(text, place.depth).into_iter().map(|(_, room)| room);
-            uses.entry(&place.room).or_default().extend(used);
+            uses.entry(place.room.clone()).or_default().extend(used);
         }
-        let reaches = |from: &str| {
-            let (mut seen, mut open) = (BTreeSet::new(), vec![from.to_owned()]);
-            while let Some(room) = open.pop() {
-                for next in uses.get(room.as_str()).into_iter().flatten() {
-                    if uses.contains_key(next.as_str()) && seen.insert(next.clone()) {
-                        open.push(next.clone());
-                    }
-                }
-            }
-            seen
-        };
-        let reached: BTreeMap<&str, BTreeSet<String>> =
-            uses.keys().map(|room| (*room, reaches(room))).collect();
-        let mut told = BTreeSet::new();
-        for (room, from_there) in &reached {
-            let circle: Vec<&str> = (from_there.iter().map(String::as_str))
-                .filter(|other| other != room && reached.get(other).is_some_and(|back| back.contains(*room)))
-                .collect();
-            if !circle.is_empty() && told.insert(*room) {
-                told.extend(&circle);
-                let text = format!(
-                    "`{room}` of {} and {} use each other: a room uses only those below it",
-                    self.package,
-                    circle.join(", ")
-                );
-                circles.push(text);
-            }
-        }
-        circles
+        uses
     }
 
     fn text_of(&self, path: &str) -> &str {
@@ -319,6 +208,30 @@ fn root_names(code: &str) -> BTreeMap<String, String> {
         }
     }
     names
+}
+
+/// The types, traits and functions that are defined in a text outside of all braces.
+fn defined(code: &str) -> BTreeSet<String> {
+    let mut found = BTreeSet::new();
+    let (mut depth, mut done) = (0_usize, 0);
+    let all: Vec<(usize, &str)> = super::rust_text::words(code).collect();
+    for pair in all.windows(2) {
+        let [(at, "struct" | "enum" | "trait" | "fn"), (_, name)] = *pair else {
+            continue;
+        };
+        for byte in code[done..at].bytes() {
+            match byte {
+                b'{' => depth += 1,
+                b'}' => depth = depth.saturating_sub(1),
+                _ => {}
+            }
+        }
+        done = at;
+        if depth == 0 {
+            found.insert(name.to_owned());
+        }
+    }
+    found
 }
 
 /// The places of all paths that begin at the root of the package, each with the offset of what follows `crate::` or
@@ -446,7 +359,7 @@ mod tests {
     use crate::tidy::{Check, found};
 
     const CHECK: Check = |tree, report| {
-        let table: &[(&str, &[&str])] = &[("demo", &["top", "middle", "low"])];
+        let table: &[(&str, &str)] = &[("demo", "top middle low")];
         check_rooms(table, tree, report)
     };
 
@@ -499,6 +412,30 @@ mod tests {
     }
 
     #[test]
+    fn what_the_root_defines_is_above_all_rooms() {
+        let found = |low: &str| {
+            let files = [
+                ("p/Cargo.toml", "[package]\nname = \"demo\"\n"),
+                (
+                    "p/src/lib.rs",
+                    "mod top; mod middle; mod low;\nmod inner { pub struct In; }\npub struct Whole;\npub type Span = i64;",
+                ),
+                ("p/src/top.rs", ""),
+                ("p/src/middle.rs", ""),
+                ("p/src/low.rs", low),
+            ];
+            found(CHECK, &files)
+        };
+        assert_eq!(found("use crate::Span; use crate::In;"), [] as [&str; 0]);
+        let fault =
+            "`low` must not use `Whole` of the root of demo, which is above all rooms: give it a room";
+        assert_eq!(
+            found("use super::{Span, Whole};"),
+            [format!("p/src/low.rs:1: {fault}")]
+        );
+    }
+
+    #[test]
     fn every_room_has_a_place_and_every_place_a_room() {
         let files = [
             ("p/Cargo.toml", "[package]\nname = \"demo\"\n"),
@@ -539,7 +476,7 @@ mod tests {
             found(check, &files)
         };
         assert_eq!(found("use other::top;"), [] as [&str; 0]);
-        let circle = "`low` of demo and middle, top use each other: a room uses only those below it";
+        let circle = "low, middle, top of demo use each other: a room uses only those below it";
         assert_eq!(found("use crate::top;"), [format!("p/Cargo.toml:1: {circle}")]);
     }
 

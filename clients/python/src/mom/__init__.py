@@ -69,7 +69,7 @@ from .events import (
     Uninhibited,
 )
 from .gate import FenceGate, GuardState, StaleError
-from .holds import Loan, Lost
+from .core.holds import Loan, Lost
 from .latch import Held, Latch, Reaction
 from .login import Key
 from .obey import Device, Machine

@@ -12,7 +12,8 @@ from . import binary
 from .address import Address
 from .errors import ConnectionDownError, LocalError
 from .parcel import Parcel
-from .transport import Transport, Trust, open_transport
+from .doors import open_transport
+from .transport import Transport, Trust
 
 PIECE = 16 * 1024
 """Larger parcels are cut into chunks of this size, so that others can go between them."""

@@ -11,7 +11,7 @@ from .core import Core, Place
 from .errors import MomError, TimedOutError
 from .events import ContextInfo
 from .gate import FenceGate
-from .holds import Handover, Hold, Loan, Lost
+from .core.holds import Handover, Hold, Loan, Lost
 from .parcel import Parcel
 from .subscriptions import Events
 

@@ -11,7 +11,7 @@ from typing import Any, Dict, Optional, Tuple, Union
 from urllib.parse import SplitResult, unquote, urlsplit
 from urllib.request import getproxies, proxy_bypass
 
-from .address import TCP, TUNNEL, WEBSOCKET, Address
+from .address import Address
 from .errors import ConnectionDownError, LocalError
 
 Trust = Union[None, str, ssl.SSLContext]
@@ -211,24 +211,8 @@ async def _through(proxy: SplitResult, address: Address) -> socket.socket:
         raise
 
 
-async def open_transport(address: Address, trust: Trust) -> Transport:
-    """Connects through one door."""
-    context = tls_context(address, trust)
-    try:
-        if address.door == WEBSOCKET:
-            return await _open_websocket(address, trust, context)
-        if address.door == TUNNEL:
-            from .tunnel import open_tunnel
-
-            return await open_tunnel(address, trust, context)
-        if address.door != TCP:
-            raise LocalError("bad-slot", f"{address} is not a single door: try those of Address.doors")
-        return StreamTransport(*await dial(address, trust, context))
-    except (OSError, EOFError) as error:
-        raise ConnectionDownError(f"{address}: {error}") from error
-
-
-async def _open_websocket(address: Address, trust: Trust, context: Optional[ssl.SSLContext]) -> Transport:
+async def open_websocket(address: Address, trust: Trust, context: Optional[ssl.SSLContext]) -> Transport:
+    """Connects through a WebSocket."""
     if not has_websockets():
         raise LocalError("not-taken", f"{address} needs the package websockets: pip install 'mom-client[web]'")
     from websockets.asyncio.client import connect

@@ -31,8 +31,8 @@ use charge::{Charge, Load, friction, rims, seconds};
 pub use fittings::Fittings;
 use motion::{Motion, Speeds, Spot};
 use walls::Limits;
-pub(crate) use walls::Wall;
 
+use crate::wall::Wall;
 use crate::{
     Chassis, Driver, DriverError, Fault, Floor, Motors, Parts, Point, Pose, Power, Sensors, SetupError,
     WheelTime,

@@ -5,9 +5,9 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use super::tests::{run, told};
 use super::*;
-use crate::controller::{Instruction, Progress, Reading};
+use crate::controller::{Grip, Instruction, Progress, Reading};
 use crate::motion::{MAX_OPENING, Posture};
-use crate::script::Grip;
+use crate::pose::HOME;
 
 /// A controller that is there at once, counts how often it is halted, and can be out of reach.
 #[derive(Debug)]

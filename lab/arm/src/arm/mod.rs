@@ -7,7 +7,6 @@ use crate::blocks::Block;
 use crate::controller::Controller;
 use crate::machine::ArmMachine;
 use crate::motion::ArmTime;
-use crate::pose::Pose;
 use crate::script::Script;
 use crate::state::{ArmEvent, ArmState, CommandState, Executing, ScriptProgress};
 
@@ -19,9 +18,6 @@ mod promises;
 mod silence;
 #[cfg(test)]
 mod tests;
-
-/// The initial pose of the hand, and the target of `home`.
-pub const HOME: Pose = Pose::new(0.0, 0.0, 300.0, 0.0, 0.0);
 
 pub use mom_device::{MAX_WAITING, STATE_PERIOD};
 

@@ -7,6 +7,7 @@ use super::tests::{run, told};
 use super::*;
 use crate::blocks::FLOOR;
 use crate::motion::{JAW_SPEED, SPEED, TURN_SPEED};
+use crate::pose::{HOME, Pose};
 use crate::workspace::WORKSPACE;
 
 /// A statement that often has to do with the blocks.

@@ -3,9 +3,10 @@
 use mom_device::Machine;
 
 use super::tests::told;
-use super::{Arm, HOME, STATE_PERIOD};
+use super::{Arm, STATE_PERIOD};
 use crate::machine::ArmMachine;
 use crate::motion::SPEED;
+use crate::pose::HOME;
 
 #[test]
 fn a_silent_driver_halts_the_arm() {

@@ -1,9 +1,9 @@
 //! The arm as its driver sees it.
 
 use super::*;
-use crate::controller::{LinkFault, Simulated};
+use crate::controller::{Grip, LinkFault, Simulated};
 use crate::motion::MAX_OPENING;
-use crate::script::Grip;
+use crate::pose::{HOME, Pose};
 use crate::state::Gripper;
 
 const RED_HIGH: &str = "move -150 100 100 0 0";

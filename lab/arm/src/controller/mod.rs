@@ -9,8 +9,8 @@ use std::fmt;
 use crate::blocks::Block;
 use crate::motion::{ArmTime, Posture};
 use crate::pose::Pose;
-use crate::script::Grip;
 use mom_device::{DeviceError, ErrorName};
+use serde::{Deserialize, Serialize};
 
 mod link;
 mod simulated;
@@ -21,6 +21,16 @@ mod traced;
 pub use link::LinkFault;
 pub use simulated::{Simulated, WATCHDOG};
 pub use traced::Traced;
+
+/// A command to the jaws.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Grip {
+    /// As far apart as they go; what they held falls.
+    Open,
+    /// Together, or until they hold something.
+    Close,
+}
 
 /// One thing that a controller is told to do; the next one follows when it is done.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -60,7 +70,7 @@ pub struct Reading {
 /// A robot controller. Time is an argument, in µs from any beginning; it never goes back.
 ///
 /// ```
-/// use mom_arm::arm::{Arm, HOME};
+/// use mom_arm::{Arm, pose::HOME};
 /// use mom_arm::controller::{Controller, Instruction, Progress, Reading};
 /// use mom_arm::motion::{ArmTime, Posture};
 /// use mom_arm::Grip;

@@ -1,11 +1,11 @@
 //! A simulated controller, like the S4 of an ABB IRB 1400: 150 mm/s, a halt at each target, a gripper by a digital output, and no sensor of
 //! contact but the overload of its motors (M49); and before it the table with its blocks.
 
-use crate::arm::HOME;
+use super::Grip;
 use crate::blocks::{Block, Blocks};
 use crate::contact::{self, Way};
 use crate::motion::{ArmTime, Leg, MAX_OPENING, Posture};
-use crate::script::Grip;
+use crate::pose::HOME;
 use mom_device::{DeviceError, ErrorName};
 
 use super::link::LinkFault;

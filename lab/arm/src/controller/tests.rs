@@ -1,7 +1,7 @@
 //! The simulated controller: what the hand pushes, presses and takes, and a link that fails.
 
 use super::*;
-use crate::arm::HOME;
+use crate::pose::HOME;
 use crate::pose::Pose;
 
 /// A lab that does one instruction after the other.

@@ -11,7 +11,8 @@ use super::zones;
 use crate::machine::ArmMachine;
 use crate::motion::ArmTime;
 use crate::status::Status;
-use crate::zones::{ZoneKeeper, Zones};
+use crate::zone_keeper::ZoneKeeper;
+use crate::zones::Zones;
 
 /// The server with a clock and a gate that a dialogue moves.
 pub(super) struct Stage {

@@ -4,7 +4,8 @@ use super::stage::Stage;
 use mom_client::{Map, Path, Value};
 
 use super::stage::lab;
-use crate::zones::{Mount, ZoneNews, Zones};
+use crate::zone_keeper::ZoneNews;
+use crate::zones::{Mount, Zones};
 
 /// What a line `zone …` of a dialogue tells.
 pub(super) fn news(words: &[&str]) -> ZoneNews {

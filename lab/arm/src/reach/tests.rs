@@ -6,7 +6,7 @@ use proptest::strategy::ValueTree;
 use rs_opw_kinematics::glam::{DAffine3, DMat3, DQuat, DVec3};
 
 use super::*;
-use crate::arm::HOME;
+use crate::pose::HOME;
 use crate::pose::{HandAxes, dot};
 use crate::workspace::WORKSPACE;
 

@@ -15,12 +15,10 @@ use mom_device::{DeviceError, ErrorName};
 
 use crate::pose::{Pose, Xyz};
 
-mod keeper;
 mod shape;
 #[cfg(test)]
 mod tests;
 
-pub use keeper::{ZoneKeeper, ZoneNews};
 use shape::parts;
 pub use shape::{FOREARM_RADIUS, HAND_RADIUS, ZoneBox};
 

@@ -15,4 +15,4 @@ mod slew;
 pub use aim::{Aim, HOME, PANS, TILTS};
 pub(crate) use aim::{MOUNT, direction};
 pub use mount::{Mount, MountAction};
-pub use slew::{PAN_SPEED, Slew, TILT_SPEED};
+pub use slew::{CameraTime, PAN_SPEED, Slew, TILT_SPEED};

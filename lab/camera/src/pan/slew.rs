@@ -1,7 +1,9 @@
 //! How the mount turns: both axes at constant speed, as a pure function of time.
 
 use super::aim::Aim;
-use crate::server::CameraTime;
+
+/// µs since the server began.
+pub type CameraTime = i64;
 
 /// Degrees/s of the pan axis, at most.
 pub const PAN_SPEED: f64 = 60.0;

@@ -7,7 +7,7 @@ use std::time::Duration;
 use mom_client::{Code, Content, Delivery, Event, Family, Map, Parcel, Path, Time, Value, WireError};
 
 use crate::owner::Owner;
-use crate::pan::Slew;
+use crate::pan::{CameraTime, Slew};
 use crate::shot::{Picture, PictureRequest, Purpose, Shot};
 use crate::trail::Trail;
 use crate::{
@@ -56,9 +56,6 @@ pub const IMAGE_PRIORITY: i32 = -10;
 const HORIZON: Duration = Duration::from_millis(500);
 /// The most requests that wait for a picture.
 const MOST_REQUESTS: usize = 64;
-
-/// µs since the server began.
-pub type CameraTime = i64;
 
 /// The options of an image server.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,11 +1,15 @@
 //! Tokens of an issuer whom the configuration trusts (JWT, RFC 7519; threat 14).
 
+mod config;
+
 use jsonwebtoken::errors::ErrorKind;
 use jsonwebtoken::{Algorithm, AlgorithmFamily, DecodingKey, Validation, crypto, decode, decode_header};
 use mom_proto::{Code, Time, WireError, check_name};
 use serde::Deserialize;
 
-use crate::{JwtConfig, JwtUsers, SettingError};
+pub use config::{JwtConfig, JwtUsers, KeyFile};
+
+use crate::SettingError;
 
 /// Least bytes of a shared secret and of an RSA modulus (RFC 7518, 3.2 and 3.3).
 const SECRET: usize = 32;

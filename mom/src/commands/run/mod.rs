@@ -5,7 +5,7 @@ mod script;
 
 use std::time::Duration;
 
-use mom_arm::{ArmState, CommandState, Pose, Script, Status, arm, rapid};
+use mom_arm::{ArmState, CommandState, Pose, Script, Status, pose, rapid};
 use mom_client::{
     BASED_ON, Channel, Client, Event, Events, Family, Lost, Parcel, Path, Token, TokenGuard, Value,
     from_value,
@@ -41,7 +41,7 @@ pub(crate) async fn run(args: &cli::RunArgs, global: &GlobalArgs, output: Output
         token: &args.token,
         zones: &args.zones,
         keep_going: args.keep_going,
-        shown: args.show.map(|_| arm::HOME),
+        shown: args.show.map(|_| pose::HOME),
     };
     errand.run(&read(args)?, global, output).await
 }

@@ -9,9 +9,9 @@ use super::clock::Clock;
 use super::device::Kept;
 use super::{FIRST_MOST, Middle, NOTICES, Notice, Reason, Refusal, State};
 use crate::handshake::{self, BUSY, MODEL, REFUSAL, VERSION as OTHER_VERSION, Welcome};
+use crate::layout::TAG;
 use crate::packet::{bit, is_padded};
 use crate::seal::{self, Keys, NONCE};
-use crate::size::TAG;
 use crate::traffic::Traffic;
 use crate::{Direction, Dropped, Fragment, Header, Item, Items, Kind, Type, VERSION};
 

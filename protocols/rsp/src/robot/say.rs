@@ -91,7 +91,7 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
     }
 
     fn say_refusal(&self, now: u64, reason: u8, echo: &[u8; NONCE], out: &mut [u8]) -> Option<usize> {
-        let most = out.len().min(REFUSAL).checked_sub(crate::size::TAG)?;
+        let most = out.len().min(REFUSAL).checked_sub(crate::layout::TAG)?;
         let mut rest = out.get_mut(Header::LEN..most)?;
         let whole = rest.len();
         let fits = handshake::put(&mut rest, &[reason])

@@ -1,9 +1,9 @@
 // From the tunnel back to a WebSocket.
-import { local } from "./error.js";
-import type { Said } from "./ledger.js";
-import type { Link } from "./login.js";
+import { local } from "../error.js";
+import type { Said } from "../ledger.js";
+import type { Link } from "../login.js";
 import type { Peer } from "./peer.js";
-import type { Wire } from "./wire.js";
+import type { Wire } from "../wire.js";
 
 /** A WebSocket is looked for first after so long, and so seldom at most. */
 const FIRST_SEARCH = 5000;

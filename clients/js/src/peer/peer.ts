@@ -1,24 +1,24 @@
 // One peer: what it wants and knows, over one connection after another.
-import { shown } from "./address.js";
-import { HubClock } from "./clock.js";
-import { type Connected, Connector } from "./connector.js";
-import { MomError, disconnected, dropped } from "./error.js";
-import { type Event, type Events, type MessageEvent, Subscribers, eventOf } from "./events.js";
-import { Guards, type Hold } from "./guards.js";
-import { installed } from "./installation.js";
-import { stopStateOf } from "./latch.js";
-import { Ledger, saidOf } from "./ledger.js";
-import { type Link, type Resumed, type Welcome, check } from "./login.js";
-import type { ConnectOptions, LinkState } from "./options.js";
-import { type Entry, Outbox } from "./outbox.js";
-import type { Parcel } from "./parcel.js";
-import { Pending } from "./pending.js";
-import { type Place, Places, guardOf, wayTo } from "./places.js";
+import { shown } from "../address.js";
+import { HubClock } from "../clock.js";
+import { type Connected, Connector } from "../connector.js";
+import { MomError, disconnected } from "../error.js";
+import { type Event, type Events, type MessageEvent, Subscribers, eventOf } from "../events.js";
+import { Guards, type Hold } from "../guards.js";
+import { installed } from "../installation.js";
+import { Ledger, saidOf } from "../ledger.js";
+import { type Link, type Resumed, type Welcome, check } from "../login.js";
+import type { ConnectOptions, LinkState } from "../options.js";
+import { type Entry, Outbox } from "../outbox.js";
+import { type Parcel, dropped, errorOf } from "../parcel.js";
+import { Pending } from "../pending.js";
+import { type Place, Places, guardOf, wayTo } from "../places.js";
 import { Mover } from "./move.js";
-import { MOST_PRIORITY, STOP } from "./precedence.js";
-import { Queue } from "./queue.js";
-import { type Fields, Time, fieldsOf, int, wallMicros } from "./value.js";
-import type { Wire } from "./wire.js";
+import { MOST_PRIORITY, STOP } from "../precedence.js";
+import { Queue } from "../queue.js";
+import { stopStateOf } from "../stops.js";
+import { type Fields, Time, fieldsOf, int, wallMicros } from "../value.js";
+import type { Wire } from "../wire.js";
 
 /** Sent messages whose refusal is still told by the channel that they were sent to. */
 const REMEMBERED = 1024;
@@ -356,7 +356,7 @@ export class Peer {
   #answer(parcel: Parcel): void {
     if (parcel.family === "error") this.guards.ended(parcel.reference);
     if (this.pending.answer(parcel) || parcel.family === "reply") return;
-    const error = MomError.of(parcel);
+    const error = errorOf(parcel);
     if (error.number >= 300 && error.number < 500) {
       this.#closing = error;
       return;

@@ -101,7 +101,7 @@ impl Way {
 
 #[cfg(test)]
 mod tests {
-    use mom_arm::arm;
+    use mom_arm::pose;
     use mom_client::Code;
 
     use super::*;
@@ -115,7 +115,11 @@ mod tests {
     }
 
     fn at(x: f64, spin: f64) -> Pose {
-        Pose { x, spin, ..arm::HOME }
+        Pose {
+            x,
+            spin,
+            ..pose::HOME
+        }
     }
 
     #[test]

@@ -1,20 +1,19 @@
 import { Channel } from "./channel.js";
-import type { LinkCredential } from "./end.js";
-import type { HubClock } from "./clock.js";
+import type { LinkCredential } from "../end.js";
+import type { HubClock } from "../clock.js";
 import { Consult } from "./consult.js";
-import { asyncDispose } from "./disposal.js";
-import { type ContextInfo, type Events, type Member, contextOf, memberOf } from "./events.js";
-import { type StopState, stopStateOf } from "./latch.js";
-import { welcome } from "./login.js";
+import { asyncDispose } from "../disposal.js";
+import { type ContextInfo, type Events, type Member, contextOf, memberOf } from "../events.js";
+import { welcome } from "../login.js";
 import { Device, type Machine } from "./obey.js";
-import type { ConnectOptions, LinkState, Proof } from "./options.js";
-import { Peer } from "./peer.js";
-import type { Parcel } from "./parcel.js";
-import { Queue } from "./queue.js";
+import type { ConnectOptions, LinkState, Proof } from "../options.js";
+import { Peer } from "../peer/peer.js";
+import type { Parcel } from "../parcel.js";
+import { Queue } from "../queue.js";
 import { Session } from "./session.js";
-import { type StopOptions, type StopReport, reportOf } from "./stops.js";
+import { type StopOptions, type StopReport, type StopState, reportOf, stopStateOf } from "../stops.js";
 import { Token } from "./token.js";
-import { type Fields, fieldsOf, list } from "./value.js";
+import { type Fields, fieldsOf, list } from "../value.js";
 
 /** What a new context is to be: `kind`, `manager`, and the other keys of docs/PROTOCOL.md (Create). */
 export type ContextSpec = { kind: "session" | "channel" | "token" } & Fields;

@@ -1,6 +1,6 @@
 import type { Client } from "./client.js";
-import type { Parcel } from "./parcel.js";
-import { type Fields, fieldsOf, text } from "./value.js";
+import type { Parcel } from "../parcel.js";
+import { type Fields, fieldsOf, text } from "../value.js";
 
 /** A question of the hub to a peer that manages a context. */
 export class Consult {

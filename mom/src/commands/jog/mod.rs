@@ -17,8 +17,8 @@ use tokio::time::{Instant, MissedTickBehavior, interval};
 use self::hand::{Action, Hand};
 use self::view::View;
 use self::way::Way;
+use super::{drive, error_words};
 use crate::cli::{self, GlobalArgs};
-use crate::commands::drive;
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
@@ -208,7 +208,7 @@ impl Drive {
             .ok()
             .filter(|_| parcel.name() == "status")?;
         let error = status.error.filter(|_| status.peer == self.client.name())?;
-        Some(crate::commands::error_words(&error))
+        Some(error_words(&error))
     }
 
     fn refusal(&self, event: &Event) -> Result<(), Failure> {

@@ -6,13 +6,13 @@ import asyncio
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Dict, List, Optional, Set
 
-from .content import seconds
-from .errors import LostError, MomError, RefusedError
-from .events import is_within
-from .parcel import Parcel
+from ..content import seconds
+from ..errors import LostError, MomError, RefusedError
+from ..events import is_within
+from ..parcel import Parcel
 
 if TYPE_CHECKING:
-    from .core import Core
+    from . import Core
 
 _RENEW_AT = 3
 """A lease is renewed at this fraction of it, so that two renewals may fail."""

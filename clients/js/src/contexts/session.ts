@@ -1,7 +1,7 @@
 import type { Client, ContextSpec } from "./client.js";
-import { asyncDispose } from "./disposal.js";
-import type { ContextInfo, Events, Member } from "./events.js";
-import type { Fields } from "./value.js";
+import { asyncDispose } from "../disposal.js";
+import type { ContextInfo, Events, Member } from "../events.js";
+import type { Fields } from "../value.js";
 
 /** A context that this peer has joined. */
 export abstract class Joined {

@@ -3,8 +3,8 @@
 use mom_client::{Event, FenceGate, HUB, Map, Path};
 use mom_device::{COMMAND, Machine};
 
-use super::{Closed, Zones};
 use crate::machine::ArmMachine;
+use crate::zones::{Closed, Zones};
 
 /// News of the zones' tokens.
 #[derive(Debug, Clone)]

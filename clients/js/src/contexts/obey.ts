@@ -1,10 +1,10 @@
 // A device: a peer that moves something, and stops it when it is told to.
 import type { Channel } from "./channel.js";
-import { MomError } from "./error.js";
-import type { Event, Events, MessageEvent } from "./events.js";
-import { type Held, Latch, type Turn } from "./latch.js";
-import type { LinkState } from "./options.js";
-import { fieldsOf, type Fields, type Value } from "./value.js";
+import { MomError } from "../error.js";
+import type { Event, Events, MessageEvent } from "../events.js";
+import { type Held, Latch, type Turn } from "../latch.js";
+import type { LinkState } from "../options.js";
+import { fieldsOf, type Fields, type Value } from "../value.js";
 
 /** What a device moves. */
 export interface Machine {

@@ -2,9 +2,9 @@
 
 use core::fmt;
 
+use super::{Element, Kind, Layout, Motion, Number, Payload};
 use crate::fragment::{FRAGMENT, HEAD};
 use crate::header::{Direction, Header};
-use crate::{Element, Kind, Layout, Motion, Number, Payload};
 
 /// Bytes behind a sealed packet.
 pub(crate) const TAG: usize = 16;

@@ -1,10 +1,10 @@
 import type { Client } from "./client.js";
-import { asyncDispose } from "./disposal.js";
-import { MomError } from "./error.js";
-import type { Hold, Loan, Lost } from "./guards.js";
-import type { Parcel } from "./parcel.js";
+import { asyncDispose } from "../disposal.js";
+import { MomError } from "../error.js";
+import type { Hold, Loan, Lost } from "../guards.js";
+import type { Parcel } from "../parcel.js";
 import { Joined } from "./session.js";
-import { type Fields, fieldsOf, int, list } from "./value.js";
+import { type Fields, fieldsOf, int, list } from "../value.js";
 
 /** How to grab a token. */
 export interface GrabOptions {

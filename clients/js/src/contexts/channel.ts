@@ -1,8 +1,8 @@
 import type { Thinning } from "./client.js";
-import type { Delivery, Parcel } from "./parcel.js";
-import type { GuardState } from "./places.js";
+import type { Delivery, Parcel } from "../parcel.js";
+import type { GuardState } from "../places.js";
 import { Joined } from "./session.js";
-import { type Fields, type Value, fieldsOf, int, list } from "./value.js";
+import { type Fields, type Value, fieldsOf, int, list } from "../value.js";
 
 /** What a message says beside its content. */
 export interface MessageOptions {

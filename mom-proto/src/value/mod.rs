@@ -2,7 +2,11 @@
 
 use bytes::Bytes;
 
-use crate::{Map, Time};
+use crate::Time;
+
+mod map;
+
+pub use map::Map;
 
 /// A typed value: what a slot, a list member or a map member holds.
 ///

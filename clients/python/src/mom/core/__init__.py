@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Callable, Dict, List, Optional
 
-from .clock import HubClock
-from .entry import DATA, Entry
-from .errors import (
+from ..clock import HubClock
+from ..entry import DATA, Entry
+from ..errors import (
     ClosedError,
     ConnectionDownError,
     DroppedError,
@@ -21,17 +21,17 @@ from .errors import (
     TimedOutError,
     WireError,
 )
-from .events import Dropped, LinkDown, Other, Refused, Rejoined, StateChanged, Stops, is_within, of_parcel
-from .gate import FenceGate
+from ..events import Dropped, LinkDown, Other, Refused, Rejoined, StateChanged, Stops, is_within, of_parcel
+from ..gate import FenceGate
 from .holds import Holds
-from .latch import Latch
-from .link import Link
-from .outbox import Outbox
-from .parcel import Parcel
-from .states import LinkState
-from .stops import StopState
-from .subscriptions import Subscribers
-from .values import now
+from ..latch import Latch
+from ..link import Link
+from ..outbox import Outbox
+from ..parcel import Parcel
+from ..states import LinkState
+from ..stops import StopState
+from ..subscriptions import Subscribers
+from ..values import now
 
 _REMEMBERED = 1024
 """The sent messages whose channels are known when a refusal comes."""

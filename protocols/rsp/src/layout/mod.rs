@@ -1,6 +1,9 @@
 //! What both ends know of a robot before the first packet: its elements, in the order of the device map.
 
-use crate::LayoutFault;
+mod size;
+
+pub use size::LayoutFault;
+pub(crate) use size::TAG;
 
 /// What an element is (S5).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

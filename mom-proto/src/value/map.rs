@@ -3,7 +3,7 @@
 use indexmap::IndexMap;
 use indexmap::map::Entry;
 
-use crate::Value;
+use super::Value;
 
 /// String keys to values: in order, without duplicates.
 ///
