@@ -166,6 +166,7 @@ const ARROWS: &[(&str, May)] = &[
     ("mom-brs", May::Use(&["mom-toml-faults"])),
     ("mom-rsp", May::Use(&[])),
     ("mom-rsp-model", May::Use(&["mom-rsp", "mom-toml-faults"])),
+    ("mom-rsp-typed", May::Use(&["mom-rsp"])),
     (
         "mom-gateway",
         May::Use(&[
