@@ -37,7 +37,6 @@ mod loss;
 mod map;
 pub mod msgpack;
 mod names;
-pub mod nearest;
 mod packed;
 mod parcel;
 mod path;
@@ -71,6 +70,7 @@ pub use gcra::{Gcra, Pace, Wait};
 pub use limits::{HARD_DEPTH, Limit, Limits, PROTOCOL_VERSION};
 pub use loss::{answers_request, outlives_loss};
 pub use map::Map;
+pub use mom_nearest as nearest;
 pub use names::{
     HUB, check_message_name, check_name, check_text, folds_of, is_xml_char, looks_of, numbered_name,
     resembles, xml_violation,

@@ -17,7 +17,7 @@ enum May {
 }
 
 const ARROWS: &[(&str, May)] = &[
-    ("mom-proto", May::Use(&[])),
+    ("mom-proto", May::Use(&["mom-nearest"])),
     ("mom-managers", May::Use(&["mom-proto"])),
     ("mom-hub", May::Use(&["mom-proto", "mom-managers"])),
     ("mom-net", May::Use(&["mom-proto"])),
@@ -62,7 +62,7 @@ const ARROWS: &[(&str, May)] = &[
             "mom-pages",
         ]),
     ),
-    ("mom-device", May::Use(&["mom-client"])),
+    ("mom-device", May::Use(&["mom-client", "mom-nearest"])),
     (
         "mom-arm",
         May::Use(&["mom-client", "mom-device", "mom-program", "mom-trace"]),
@@ -127,7 +127,13 @@ const ARROWS: &[(&str, May)] = &[
     ),
     (
         "mom-model",
-        May::Use(&["mom-client", "mom-drive", "mom-vision", "mom-program"]),
+        May::Use(&[
+            "mom-client",
+            "mom-drive",
+            "mom-nearest",
+            "mom-vision",
+            "mom-program",
+        ]),
     ),
     (
         "mom-calibrate",
@@ -136,7 +142,13 @@ const ARROWS: &[(&str, May)] = &[
     ("mom-mcp", May::Use(&["mom-client", "mom-drive", "mom-program"])),
     (
         "mom-servo",
-        May::Use(&["mom-client", "mom-drive", "mom-vision", "mom-program"]),
+        May::Use(&[
+            "mom-client",
+            "mom-drive",
+            "mom-nearest",
+            "mom-vision",
+            "mom-program",
+        ]),
     ),
     (
         "mom",
@@ -182,7 +194,8 @@ const ARROWS: &[(&str, May)] = &[
     ),
     ("mom-plots", May::Use(&[])),
     ("mom-pages", May::Use(&[])),
-    ("mom-toml-faults", May::Use(&[])),
+    ("mom-toml-faults", May::Use(&["mom-nearest"])),
+    ("mom-nearest", May::Use(&[])),
     ("mom-program", May::Use(&["mom-client", "mom-pages"])),
     ("mom-tests", May::UseAll),
     ("mom-cases", May::Use(&[])),
@@ -336,7 +349,7 @@ fn dependencies(manifest: &Table, workspace: &Table) -> Vec<(String, String)> {
         .collect()
 }
 
-fn line_of_key(text: &str, key: &str) -> usize {
+pub(super) fn line_of_key(text: &str, key: &str) -> usize {
     let begins = |line: &str| {
         line.trim_start()
             .strip_prefix(key)
