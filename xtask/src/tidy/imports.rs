@@ -22,11 +22,8 @@ const ARROWS: &[(&str, May)] = &[
     ("mom-hub", May::Use(&["mom-proto", "mom-managers"])),
     ("mom-net", May::Use(&["mom-proto"])),
     ("mom-client", May::Use(&["mom-proto", "mom-net"])),
-    ("mom-system", May::Use(&["mom-proto", "mom-managers"])),
-    (
-        "mom-login",
-        May::Use(&["mom-proto", "mom-managers", "mom-hub", "mom-system"]),
-    ),
+    ("mom-system", May::Use(&["mom-proto"])),
+    ("mom-login", May::Use(&["mom-proto", "mom-hub", "mom-system"])),
     ("mom-store", May::Use(&["mom-proto", "mom-hub", "mom-system"])),
     (
         "mom-journal",

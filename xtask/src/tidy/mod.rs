@@ -2,6 +2,7 @@
 
 mod citations;
 mod codes;
+mod dependencies;
 mod glossary;
 mod imports;
 mod leftovers;
@@ -50,6 +51,7 @@ const CHECKS: &[(&str, Check)] = &[
     ("codes", codes::check),
     ("imports", imports::check),
     ("imports", imports::check_resolved),
+    ("unused", dependencies::check),
     ("rooms", rooms::check),
     ("purity", purity::check),
     ("leftover", leftovers::check),
