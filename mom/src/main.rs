@@ -10,7 +10,6 @@ mod input;
 mod interrupt;
 mod jog;
 mod output;
-mod terminal;
 mod top;
 
 use std::process::ExitCode;

@@ -66,7 +66,7 @@ const ARROWS: &[(&str, May)] = &[
     ),
     (
         "mom-base-station",
-        May::Use(&["mom-brs", "mom-pages", "mom-toml-faults"]),
+        May::Use(&["mom-brs", "mom-pages", "mom-screen", "mom-toml-faults"]),
     ),
     (
         "mom-camera",
@@ -170,6 +170,7 @@ const ARROWS: &[(&str, May)] = &[
             "mom-wheels",
             "mom-plots",
             "mom-pages",
+            "mom-screen",
         ]),
     ),
     ("mom-brs", May::Use(&["mom-toml-faults"])),
@@ -191,6 +192,7 @@ const ARROWS: &[(&str, May)] = &[
     ),
     ("mom-plots", May::Use(&[])),
     ("mom-pages", May::Use(&[])),
+    ("mom-screen", May::Use(&[])),
     ("mom-toml-faults", May::Use(&["mom-nearest"])),
     ("mom-nearest", May::Use(&[])),
     ("mom-program", May::Use(&["mom-client", "mom-pages"])),
