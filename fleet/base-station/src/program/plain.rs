@@ -280,7 +280,8 @@ pub(super) async fn send(
         let (mut changes, nothing) = (station.subscribe(), ToCome::default());
         tokio::select! {
             told = stay_and_tell(&mut changes, &nothing, stay) => told?,
-            () = keep_driving(station) => {}
+            // Who stops now needs no frame, and its moment would be left to chance.
+            () = keep_driving(station), if !stay.is_zero() => {}
         }
         all_sent(refused)
     };
