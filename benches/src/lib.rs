@@ -15,7 +15,6 @@ pub mod decisions;
 pub mod doors;
 mod driver;
 mod error;
-pub mod grants;
 pub mod hot_path;
 mod hub;
 pub mod isolation;

@@ -37,7 +37,6 @@ mod limits;
 mod loss;
 pub mod msgpack;
 mod names;
-pub mod nearest;
 mod packed;
 mod parcel;
 mod path;
@@ -70,6 +69,7 @@ pub use fingerprint::{BadFingerprint, Fingerprint};
 pub use gcra::{Gcra, Pace, Wait};
 pub use limits::{HARD_DEPTH, Limit, Limits, PROTOCOL_VERSION};
 pub use loss::{answers_request, outlives_loss};
+pub use mom_nearest as nearest;
 pub use names::{
     HUB, check_message_name, check_name, check_text, folds_of, is_xml_char, looks_of, numbered_name,
     resembles, xml_violation,

@@ -10,7 +10,6 @@ mod global;
 mod input;
 mod interrupt;
 mod output;
-mod terminal;
 mod top;
 
 use std::process::ExitCode;

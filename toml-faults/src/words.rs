@@ -1,32 +1,11 @@
 //! Which known word was probably meant, and how an error quotes a word.
 
-/// The known word that is similar enough to be meant; none for one of more than 64 bytes.
-///
-/// ```
-/// use mom_toml_faults::nearest;
-/// assert_eq!(nearest("moter", &["leds", "motor"]), Some("motor"));
-/// assert_eq!(nearest("sing", &["leds", "motor"]), None);
-/// ```
-#[must_use]
-pub fn nearest<'a>(word: &str, known: &[&'a str]) -> Option<&'a str> {
-    // The cost grows with the square of the length.
-    const LONGEST_WORD: usize = 64;
-    if word.len() > LONGEST_WORD {
-        return None;
-    }
-    let allowed = (word.chars().count() / 3).max(1);
-    known
-        .iter()
-        .map(|known| (strsim::osa_distance(word, known), *known))
-        .filter(|(distance, _)| *distance <= allowed)
-        .min_by_key(|(distance, _)| *distance)
-        .map(|(_, known)| known)
-}
+pub use mom_nearest::nearest;
 
 /// What helps whoever wrote an unknown word: the nearest known one, or all that there are.
 #[must_use]
 pub fn hint(word: &str, known: &[&str]) -> String {
-    match nearest(word, known) {
+    match nearest(word, known.iter().copied()) {
         Some(nearest) => format!("did you mean `{nearest}`?"),
         None if known.is_empty() => "there is none here".to_owned(),
         None => format!("there are `{}`", known.join("`, `")),

@@ -24,12 +24,16 @@ const SEED: &str = "PROPTEST_RNG_SEED";
 /// Says to tests where the programs are that they start, so that they do not build them.
 const PROGRAMS: &str = "MOM_PROGRAMS";
 
+/// What is off by default and yet built, linted and tested with the whole workspace: nobody else in CI would.
+pub(crate) const FEATURES: &str = "--features=mom-broker/otlp";
+
 /// Builds the tests, and all programs and examples from what the tests are built from: with the features that a package's own build would
 /// have, most of it would be compiled once more.
-const WHOLE: [&str; 6] = [
+const WHOLE: [&str; 7] = [
     "build",
     "--locked",
     "--workspace",
+    FEATURES,
     "--bins",
     "--tests",
     "--examples",
@@ -134,7 +138,7 @@ fn arguments(extra: &[String]) -> Vec<String> {
         "--no-fail-fast".to_owned(),
     ];
     if !names_packages {
-        args.push("--workspace".to_owned());
+        args.extend(["--workspace", FEATURES].map(str::to_owned));
     }
     args.extend(extra.iter().cloned());
     args
@@ -259,7 +263,9 @@ mod tests {
         let check = |extra: &[&str], whole: bool| {
             let extra: Vec<String> = extra.iter().map(|arg| (*arg).to_owned()).collect();
             let args = arguments(&extra);
-            assert_eq!(args.contains(&"--workspace".to_owned()), whole, "{args:?}");
+            for arg in ["--workspace", FEATURES] {
+                assert_eq!(args.contains(&arg.to_owned()), whole, "{args:?}");
+            }
             assert!(
                 args.ends_with(&extra) && args.contains(&"--locked".to_owned()),
                 "{args:?}"

@@ -52,7 +52,6 @@ pub fn measure(program: &Path, niceness: i32, attacks: &[Attack], time: Duration
             heard,
         })
     });
-    // A broker with the feature `lock-times` says now for how long its locks were held.
     attacked.end();
     figures
 }

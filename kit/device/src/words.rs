@@ -25,12 +25,11 @@ impl Word<'_> {
         }
     }
 
-    /// The one of some known words that needs the fewest letters changed; an empty one of none.
+    /// The most similar of some known words, without regard to case; an empty one of none.
     #[must_use]
     pub fn nearest(&self, known: &[&'static str]) -> &'static str {
         let lower = self.short().to_lowercase();
-        let nearest = known.iter().min_by_key(|word| strsim::levenshtein(&lower, word));
-        nearest.copied().unwrap_or_default()
+        mom_nearest::most_similar(&lower, known.iter().copied()).unwrap_or_default()
     }
 }
 

@@ -1,18 +1,16 @@
 //! The camera as a peer: joins its contexts and connects them to the [`ImageServer`].
 
-use std::collections::BTreeMap;
 use std::future::{Future, pending};
 use std::path::PathBuf;
 use std::pin::pin;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
-use mom_client::{
-    Channel, Client, ClientError, Code, Event, LinkState, Map, Parcel, Path, Time, Token, WireError,
-};
+use mom_client::{Channel, Client, ClientError, Code, Event, LinkState, Map, Path, Token, WireError};
 use mom_device::{ensure, ensure_above, ensure_guarded, is_missing};
+use mom_program::work::{done, send, users, wall};
 use mom_trace::Trace;
 use tokio::sync::watch::Receiver;
-use tokio::task::{JoinHandle, JoinSet, spawn_blocking};
+use tokio::task::{JoinSet, spawn_blocking};
 use tokio::time::{Instant, sleep_until};
 
 use crate::calibration::{CalibrationFile, CalibrationKeeper};
@@ -218,11 +216,8 @@ pub async fn run(
             () = send(&client, &mut out) => {}
         }
         if looking.is_none() && server.ask_users() {
-            looking = Some(tokio::spawn(users(
-                client.clone(),
-                options.token.clone(),
-                options.channel.clone(),
-            )));
+            let contexts = vec![options.token.clone(), options.channel.clone()];
+            looking = Some(tokio::spawn(users(client.clone(), contexts)));
         }
         keeper.keep(server.calibration());
         let wake = server.next_wake().map(|due| until(begin, due));
@@ -239,11 +234,11 @@ pub async fn run(
                     _ => {}
                 }
             }
-            picture = done(&mut drawing) => match picture {
+            picture = done("camera", &mut drawing) => match picture {
                 Some(picture) => server.handle_picture(picture, &mut out),
                 None => server.handle_failure(),
             },
-            users = done(&mut looking) => server.handle_users(&users.unwrap_or_default(), &mut out),
+            users = done("camera", &mut looking) => server.handle_users(&users.unwrap_or_default(), &mut out),
             event = camera.next() => server.handle_camera(&open(event, &client)?, &mut out),
             () = keeper.written() => {}
             () = turned(&mut mount) => {}
@@ -298,38 +293,6 @@ async fn ask_owner(token: &Token, server: &mut ImageServer) {
     }
 }
 
-async fn send(client: &Client, out: &mut Vec<Parcel>) {
-    for parcel in out.drain(..) {
-        if let Err(error) = client.send(parcel).await {
-            tracing::warn!(%error, "a message was not sent");
-        }
-    }
-}
-
-/// Waits for the work that is under way, if it is; `None` if it failed.
-async fn done<T>(work: &mut Option<JoinHandle<T>>) -> Option<T> {
-    let result = match work {
-        Some(handle) => handle.await,
-        None => pending().await,
-    };
-    *work = None;
-    result
-        .inspect_err(|error| tracing::error!(%error, "the camera's work broke down"))
-        .ok()
-}
-
-/// The users of all peers in these contexts, as far as the hub tells them.
-async fn users(client: Client, token: String, channel: String) -> BTreeMap<String, String> {
-    let mut users = BTreeMap::new();
-    for path in [token, channel] {
-        match client.members(&path).await {
-            Ok(members) => users.extend(members.into_iter().map(|member| (member.peer, member.user))),
-            Err(error) => tracing::warn!(%error, path, "the hub does not tell whose the peers are"),
-        }
-    }
-    users
-}
-
 /// Waits for news of the real camera, if it is one.
 async fn sight(sights: &mut Option<Receiver<Sight>>) -> Sight {
     let Some(seen) = sights else {
@@ -362,18 +325,6 @@ pub(crate) async fn sleep_or_wait(wake: Option<Instant>) {
         Some(wake) => sleep_until(wake).await,
         None => pending().await,
     }
-}
-
-/// The time of day by the hub's clock, which all its peers share; by the own one until the hub's is known.
-fn wall(client: &Client) -> Time {
-    if let Some((time, _)) = client.clock().now() {
-        return time;
-    }
-    let since = SystemTime::now()
-        .duration_since(SystemTime::UNIX_EPOCH)
-        .unwrap_or_default();
-    let micros = i64::try_from(since.as_micros()).ok();
-    micros.and_then(Time::from_micros).unwrap_or_default()
 }
 
 /// µs since the server began.

@@ -142,16 +142,11 @@ impl Objects {
     /// The object whose name is most like this one, if any is like it.
     #[must_use]
     pub fn meant(&self, name: &str) -> Option<&Object> {
-        if name.len() > LONGEST_NAME {
-            return None;
-        }
-        let name = name.to_lowercase();
-        let likeness = |object: &Object| strsim::osa_distance(&name, &object.name.to_lowercase());
-        let named = self.iter().filter(|object| object.name.len() <= LONGEST_NAME);
-        let (least, best) = named
-            .map(|object| (likeness(object), object))
-            .min_by_key(|(likeness, _)| *likeness)?;
-        (least <= (name.chars().count() / 3).max(1)).then_some(best)
+        let names: Vec<String> = self.iter().map(|object| object.name.to_lowercase()).collect();
+        let meant = mom_nearest::nearest(&name.to_lowercase(), names.iter().map(String::as_str))?;
+        self.iter()
+            .zip(&names)
+            .find_map(|(object, name)| (name == meant).then_some(object))
     }
 
     /// That there is no such object, with the one that may be meant, or all names, and ages.

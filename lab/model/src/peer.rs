@@ -1,14 +1,15 @@
 //! The model server as a peer: joins its contexts and connects them to the [`ModelServer`].
 
-use std::collections::{BTreeMap, VecDeque};
-use std::future::{Future, pending};
+use std::collections::VecDeque;
+use std::future::Future;
 use std::pin::pin;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use mom_client::{
     Channel, Client, ClientError, Code, ContextKind, Event, Events, LinkState, Parcel, Path, Thinning, Time,
     Token, WireError,
 };
+use mom_program::work::{done, send, users, wall};
 use tokio::sync::mpsc;
 use tokio::task::{JoinHandle, JoinSet, spawn_blocking};
 use tokio::time::{MissedTickBehavior, interval};
@@ -111,35 +112,11 @@ impl Looking {
 
     /// What the image under way shows.
     async fn done(&mut self) -> Option<(usize, Look)> {
-        let (camera, look) = done(&mut self.under_way).await?;
+        let (camera, look) = done("model", &mut self.under_way).await?;
         look.inspect_err(|error| tracing::warn!(error, "an image cannot be read"))
             .ok()
             .map(|look| (camera, look))
     }
-}
-
-/// Waits for the work that is under way, if it is; `None` if it failed.
-async fn done<T>(work: &mut Option<JoinHandle<T>>) -> Option<T> {
-    let ended = match work {
-        Some(work) => work.await,
-        None => pending().await,
-    };
-    *work = None;
-    ended
-        .inspect_err(|error| tracing::error!(%error, "the model's work broke down"))
-        .ok()
-}
-
-/// The users of all peers in these contexts, as far as the hub tells them.
-async fn users(client: Client, contexts: Vec<String>) -> BTreeMap<String, String> {
-    let mut users = BTreeMap::new();
-    for path in contexts {
-        match client.members(&path).await {
-            Ok(members) => users.extend(members.into_iter().map(|member| (member.peer, member.user))),
-            Err(error) => tracing::warn!(%error, path, "the hub does not tell whose the peers are"),
-        }
-    }
-    users
 }
 
 /// Runs a model server until `shutdown` is done; then it logs out.
@@ -211,7 +188,7 @@ pub async fn run(
             look = looking.done() => if let Some((camera, look)) = look {
                 server.handle_look(camera, look, wall(&client), &mut out);
             },
-            users = done(&mut asking) => {
+            users = done("model", &mut asking) => {
                 server.handle_users(&users.unwrap_or_default(), wall(&client), &mut out);
             }
             _ = tick.tick() => {
@@ -325,24 +302,4 @@ fn ended(client: &Client) -> ClientError {
         LinkState::Closed(error) => ClientError::Closed(error.clone()),
         _ => WireError::new(Code::UNKNOWN_PATH, "the hub deleted the contexts of the model").into(),
     }
-}
-
-async fn send(client: &Client, out: &mut Vec<Parcel>) {
-    for parcel in out.drain(..) {
-        if let Err(error) = client.send(parcel).await {
-            tracing::warn!(%error, "a message was not sent");
-        }
-    }
-}
-
-/// The time of day by the hub's clock, which all its peers share; by the own one until the hub's is known.
-pub(crate) fn wall(client: &Client) -> Time {
-    if let Some((time, _)) = client.clock().now() {
-        return time;
-    }
-    let since = SystemTime::now()
-        .duration_since(SystemTime::UNIX_EPOCH)
-        .unwrap_or_default();
-    let micros = i64::try_from(since.as_micros()).ok();
-    micros.and_then(Time::from_micros).unwrap_or_default()
 }

@@ -4,6 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use mom_client::{Map, Value};
+use mom_nearest::nearest;
 use mom_vision::blocks::Coloured;
 
 /// mm of a block's edges: all are cubes of this size.
@@ -161,33 +162,15 @@ fn named(name: &str) -> Result<usize, String> {
     if let Some(found) = NAMES.iter().position(|(known, _)| *known == wanted) {
         return Ok(found);
     }
-    let nearest = NAMES
-        .iter()
-        .map(|(known, _)| *known)
-        .min_by_key(|known| distance(known, &wanted));
+    let nearest = nearest(&wanted, NAMES.iter().map(|(known, _)| *known));
     let name: String = name.chars().take(40).collect();
-    Err(match nearest.filter(|near| distance(near, &wanted) <= 2) {
+    Err(match nearest {
         Some(near) => format!("no block is called {name:?}; did you mean {near}?"),
         None => format!(
             "no block is called {name:?}; blocks are called {}",
             NAMES.map(|(name, _)| name).join(", ")
         ),
     })
-}
-
-/// How many letters differ (Levenshtein); long words are cut.
-fn distance(a: &str, b: &str) -> usize {
-    let (a, b): (Vec<char>, Vec<char>) = (a.chars().take(40).collect(), b.chars().take(40).collect());
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, x) in a.iter().enumerate() {
-        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
-        for (k, y) in b.iter().enumerate() {
-            let change = diagonal + usize::from(x != y);
-            diagonal = row[k + 1];
-            row[k + 1] = change.min(row[k] + 1).min(diagonal + 1);
-        }
-    }
-    row[b.len()]
 }
 
 #[cfg(test)]

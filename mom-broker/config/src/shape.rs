@@ -90,7 +90,9 @@ impl Shape<'_> {
                 .flatten()
                 .filter_map(Value::as_str)
                 .collect();
-            let near = value.as_str().and_then(|word| nearest(word, &words));
+            let near = value
+                .as_str()
+                .and_then(|word| nearest(word, words.iter().copied()));
             if let Some(near) = near {
                 // Of many words the near one says enough.
                 if words.len() > WORDS {
@@ -158,7 +160,7 @@ impl Shape<'_> {
                 return self.table(shape, table);
             }
             if !kinds.is_empty() {
-                let (near, hint) = (nearest(word, &kinds), hint(word, &kinds));
+                let (near, hint) = (nearest(word, kinds.iter().copied()), hint(word, &kinds));
                 let text = match kind {
                     None => format!("a manager needs its kind; {hint}"),
                     Some(kind) => format!("there is no kind of manager {}; {hint}", shown(kind)),

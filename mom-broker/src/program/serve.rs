@@ -102,10 +102,6 @@ pub(super) fn run(args: &ServeArgs) -> Result<()> {
         export.finish(LAST_SPANS);
     }
     lines.finish(LAST_LINES);
-    #[cfg(feature = "lock-times")]
-    for line in mom_system::sync::lock_times() {
-        writeln!(std::io::stderr(), "{line}")?;
-    }
     ended
 }
 

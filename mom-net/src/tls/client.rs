@@ -7,12 +7,11 @@ use std::sync::Arc;
 use mom_proto::Fingerprint;
 use rustls::client::WebPkiServerVerifier;
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
-use rustls::crypto::{CryptoProvider, verify_tls12_signature, verify_tls13_signature};
 use rustls::{ClientConfig, ClientConnection, DigitallySignedStruct, RootCertStore, SignatureScheme};
 use rustls_pki_types::{CertificateDer, ServerName, UnixTime};
 
 use super::server::{TlsError, certificates, private_key};
-use super::{fingerprint, provider};
+use super::{Signatures, fingerprint, provider};
 
 /// Which hub is the right one.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -52,7 +51,7 @@ impl ClientTls {
         };
         let failed = |why: String| TlsError::new(&named, &why);
         let verifier: Arc<dyn ServerCertVerifier> = match trust {
-            Trust::Pinned(pin) => Arc::new(Pinned(*pin, Arc::clone(&provider))),
+            Trust::Pinned(pin) => Arc::new(Pinned(*pin, Signatures(Arc::clone(&provider)))),
             Trust::System | Trust::Authorities(_) => {
                 let roots = Arc::new(roots(trust, &named)?);
                 WebPkiServerVerifier::builder_with_provider(roots, Arc::clone(&provider))
@@ -96,7 +95,7 @@ fn roots(trust: &Trust, named: &Path) -> Result<RootCertStore, TlsError> {
 
 /// Trusts one certificate. Its name and its dates do not matter: whoever named its fingerprint has looked at it.
 #[derive(Debug)]
-struct Pinned(Fingerprint, Arc<CryptoProvider>);
+struct Pinned(Fingerprint, Signatures);
 
 impl ServerCertVerifier for Pinned {
     fn verify_server_cert(
@@ -123,12 +122,7 @@ impl ServerCertVerifier for Pinned {
         certificate: &CertificateDer<'_>,
         signed: &DigitallySignedStruct,
     ) -> Result<HandshakeSignatureValid, rustls::Error> {
-        verify_tls12_signature(
-            message,
-            certificate,
-            signed,
-            &self.1.signature_verification_algorithms,
-        )
+        self.1.tls12(message, certificate, signed)
     }
 
     fn verify_tls13_signature(
@@ -137,15 +131,10 @@ impl ServerCertVerifier for Pinned {
         certificate: &CertificateDer<'_>,
         signed: &DigitallySignedStruct,
     ) -> Result<HandshakeSignatureValid, rustls::Error> {
-        verify_tls13_signature(
-            message,
-            certificate,
-            signed,
-            &self.1.signature_verification_algorithms,
-        )
+        self.1.tls13(message, certificate, signed)
     }
 
     fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
-        self.1.signature_verification_algorithms.supported_schemes()
+        self.1.schemes()
     }
 }

@@ -11,8 +11,10 @@ use std::task::{Context, Poll, ready};
 use bytes::BufMut;
 use mom_proto::Fingerprint;
 use parking_lot::Mutex;
-use rustls::Connection;
-use rustls::crypto::CryptoProvider;
+use rustls::client::danger::HandshakeSignatureValid;
+use rustls::crypto::{CryptoProvider, verify_tls12_signature, verify_tls13_signature};
+use rustls::{Connection, DigitallySignedStruct, SignatureScheme};
+use rustls_pki_types::CertificateDer;
 use sha2::{Digest as _, Sha256};
 use tokio::net::TcpStream;
 
@@ -45,6 +47,44 @@ fn provider() -> Arc<CryptoProvider> {
 /// What a certificate in DER is known by.
 fn fingerprint(certificate: &[u8]) -> Fingerprint {
     Fingerprint::new(Sha256::digest(certificate).into())
+}
+
+/// Whether who shows a certificate has its key: asked where whose it is is decided otherwise.
+#[derive(Debug)]
+struct Signatures(Arc<CryptoProvider>);
+
+impl Signatures {
+    fn tls12(
+        &self,
+        message: &[u8],
+        certificate: &CertificateDer<'_>,
+        signed: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, rustls::Error> {
+        verify_tls12_signature(
+            message,
+            certificate,
+            signed,
+            &self.0.signature_verification_algorithms,
+        )
+    }
+
+    fn tls13(
+        &self,
+        message: &[u8],
+        certificate: &CertificateDer<'_>,
+        signed: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, rustls::Error> {
+        verify_tls13_signature(
+            message,
+            certificate,
+            signed,
+            &self.0.signature_verification_algorithms,
+        )
+    }
+
+    fn schemes(&self) -> Vec<SignatureScheme> {
+        self.0.signature_verification_algorithms.supported_schemes()
+    }
 }
 
 fn invalid(error: rustls::Error) -> io::Error {

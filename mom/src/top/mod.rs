@@ -8,6 +8,7 @@ use std::io::{self, IsTerminal as _};
 use std::time::Duration;
 
 use mom_client::{Client, ClientError, ContextInfo, LinkState};
+use mom_screen::{Screen, keys};
 use tokio::sync::mpsc;
 use tokio::time::{MissedTickBehavior, interval, sleep};
 
@@ -18,7 +19,6 @@ use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
 use crate::output::Output;
-use crate::terminal::{Screen, keys};
 
 /// Owners of tokens and stops are asked for so often.
 const HOLDS_EVERY: Duration = Duration::from_secs(3);

@@ -9,7 +9,7 @@ use mom_rsp_model::{Direction, Model, generate};
 
 const CUBO: &str = include_str!("../../../config/cubo.toml");
 const IR_ROBOT: &str = include_str!("../../../config/ir-robot.toml");
-const KINDS: &str = include_str!("golden/kinds.toml");
+const KINDS: &str = include_str!("models/kinds.toml");
 
 /// Compiles a program with the model's header, runs it, and gives what it prints.
 fn run(name: &str, model: &Model, program: &str) -> Vec<u8> {

@@ -17,16 +17,13 @@ enum May {
 }
 
 const ARROWS: &[(&str, May)] = &[
-    ("mom-proto", May::Use(&[])),
+    ("mom-proto", May::Use(&["mom-nearest"])),
     ("mom-managers", May::Use(&["mom-proto"])),
     ("mom-hub", May::Use(&["mom-proto", "mom-managers"])),
     ("mom-net", May::Use(&["mom-proto"])),
     ("mom-client", May::Use(&["mom-proto", "mom-net"])),
-    ("mom-system", May::Use(&["mom-proto", "mom-managers"])),
-    (
-        "mom-login",
-        May::Use(&["mom-proto", "mom-managers", "mom-hub", "mom-system"]),
-    ),
+    ("mom-system", May::Use(&["mom-proto"])),
+    ("mom-login", May::Use(&["mom-proto", "mom-hub", "mom-system"])),
     ("mom-store", May::Use(&["mom-proto", "mom-hub", "mom-system"])),
     (
         "mom-journal",
@@ -62,14 +59,14 @@ const ARROWS: &[(&str, May)] = &[
             "mom-pages",
         ]),
     ),
-    ("mom-device", May::Use(&["mom-client"])),
+    ("mom-device", May::Use(&["mom-client", "mom-nearest"])),
     (
         "mom-arm",
         May::Use(&["mom-client", "mom-device", "mom-program", "mom-trace"]),
     ),
     (
         "mom-base-station",
-        May::Use(&["mom-brs", "mom-pages", "mom-toml-faults"]),
+        May::Use(&["mom-brs", "mom-pages", "mom-screen", "mom-toml-faults"]),
     ),
     (
         "mom-camera",
@@ -127,7 +124,13 @@ const ARROWS: &[(&str, May)] = &[
     ),
     (
         "mom-model",
-        May::Use(&["mom-client", "mom-drive", "mom-vision", "mom-program"]),
+        May::Use(&[
+            "mom-client",
+            "mom-drive",
+            "mom-nearest",
+            "mom-vision",
+            "mom-program",
+        ]),
     ),
     (
         "mom-calibrate",
@@ -136,7 +139,13 @@ const ARROWS: &[(&str, May)] = &[
     ("mom-mcp", May::Use(&["mom-client", "mom-drive", "mom-program"])),
     (
         "mom-servo",
-        May::Use(&["mom-client", "mom-drive", "mom-vision", "mom-program"]),
+        May::Use(&[
+            "mom-client",
+            "mom-drive",
+            "mom-nearest",
+            "mom-vision",
+            "mom-program",
+        ]),
     ),
     (
         "mom",
@@ -161,6 +170,7 @@ const ARROWS: &[(&str, May)] = &[
             "mom-wheels",
             "mom-plots",
             "mom-pages",
+            "mom-screen",
         ]),
     ),
     (
@@ -183,6 +193,7 @@ const ARROWS: &[(&str, May)] = &[
     ("mom-brs", May::Use(&["mom-toml-faults"])),
     ("mom-rsp", May::Use(&[])),
     ("mom-rsp-model", May::Use(&["mom-rsp", "mom-toml-faults"])),
+    ("mom-rsp-typed", May::Use(&["mom-rsp"])),
     (
         "mom-gateway",
         May::Use(&[
@@ -198,7 +209,9 @@ const ARROWS: &[(&str, May)] = &[
     ),
     ("mom-plots", May::Use(&[])),
     ("mom-pages", May::Use(&[])),
-    ("mom-toml-faults", May::Use(&[])),
+    ("mom-screen", May::Use(&[])),
+    ("mom-toml-faults", May::Use(&["mom-nearest"])),
+    ("mom-nearest", May::Use(&[])),
     ("mom-program", May::Use(&["mom-client", "mom-pages"])),
     ("mom-tests", May::UseAll),
     ("mom-cases", May::Use(&[])),
@@ -352,7 +365,7 @@ fn dependencies(manifest: &Table, workspace: &Table) -> Vec<(String, String)> {
         .collect()
 }
 
-fn line_of_key(text: &str, key: &str) -> usize {
+pub(super) fn line_of_key(text: &str, key: &str) -> usize {
     let begins = |line: &str| {
         line.trim_start()
             .strip_prefix(key)

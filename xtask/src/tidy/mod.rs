@@ -3,6 +3,7 @@
 mod circles;
 mod citations;
 mod codes;
+mod dependencies;
 mod glossary;
 mod imports;
 mod leftovers;
@@ -53,6 +54,7 @@ const CHECKS: &[(&str, Check)] = &[
     ("codes", codes::check),
     ("imports", imports::check),
     ("imports", imports::check_resolved),
+    ("unused", dependencies::check),
     ("rooms", rooms::check),
     ("rooms", script_rooms::check),
     ("purity", purity::check),

@@ -2,7 +2,6 @@
 
 mod args;
 mod plain;
-mod screen;
 #[cfg(test)]
 mod tests;
 mod view;
@@ -23,6 +22,7 @@ use clap::Parser as _;
 use mom_brs::Table;
 use mom_brs::file::{self, EXTENDED};
 use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::task::JoinSet;
 
 use self::args::{Args, Work};
 
@@ -70,14 +70,16 @@ async fn carry_out(args: Vec<OsString>) -> Result<()> {
     };
     let mut interrupt = Interrupt::install()?;
     match args.work {
-        None if stdout().is_terminal() => {
-            let station = begin(&fleet)?;
-            let shown = watching::show(&station, &fleet.units(), table, &mut interrupt).await;
-            finish(&station).await.and(shown)
-        }
         None => {
-            let station = begin(&fleet)?;
-            let shown = plain::show(&station, &fleet.units(), table, &mut interrupt).await;
+            let (station, units) = (begin(&fleet)?, fleet.units());
+            let mut playing = JoinSet::new();
+            let shown = if stdout().is_terminal() {
+                watching::show(&station, &units, table, &mut interrupt, &mut playing).await
+            } else {
+                plain::show(&station, &units, table, &mut interrupt, &mut playing).await
+            };
+            // Nothing is sent any more when the robots are stopped.
+            playing.shutdown().await;
             finish(&station).await.and(shown)
         }
         Some(Work::Send(send)) => {

@@ -54,19 +54,6 @@ pub(super) async fn show(
     units: &[Unit],
     table: &'static Table,
     interrupt: &mut Interrupt,
-) -> Result<()> {
-    let mut playing = JoinSet::new();
-    let shown = show_and_play(station, units, table, interrupt, &mut playing).await;
-    // Nothing is sent any more when the robots are stopped.
-    playing.shutdown().await;
-    shown
-}
-
-async fn show_and_play(
-    station: &Station,
-    units: &[Unit],
-    table: &'static Table,
-    interrupt: &mut Interrupt,
     playing: &mut JoinSet<()>,
 ) -> Result<()> {
     let mut changes = station.subscribe();
@@ -293,7 +280,8 @@ pub(super) async fn send(
         let (mut changes, nothing) = (station.subscribe(), ToCome::default());
         tokio::select! {
             told = stay_and_tell(&mut changes, &nothing, stay) => told?,
-            () = keep_driving(station) => {}
+            // Who stops now needs no frame, and its moment would be left to chance.
+            () = keep_driving(station), if !stay.is_zero() => {}
         }
         all_sent(refused)
     };

@@ -9,13 +9,13 @@ use crate::script::Script;
 use crate::station::{SendError, Station};
 use anyhow::Result;
 use mom_brs::Table;
+use mom_screen::{Screen, keys};
 use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::mpsc::{self, UnboundedSender};
 use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, interval};
 
 use super::Interrupt;
-use super::screen::{Screen, keys};
 use super::view::{Asked, View};
 
 /// The picture is drawn so often at most.
@@ -23,19 +23,6 @@ const PICTURE: Duration = Duration::from_millis(50);
 
 /// Draws until a key or a signal ends it.
 pub(super) async fn show(
-    station: &Station,
-    units: &[Unit],
-    table: &'static Table,
-    interrupt: &mut Interrupt,
-) -> Result<()> {
-    let mut playing = JoinSet::new();
-    let shown = show_and_play(station, units, table, interrupt, &mut playing).await;
-    // Nothing is sent any more when the robots are stopped.
-    playing.shutdown().await;
-    shown
-}
-
-async fn show_and_play(
     station: &Station,
     units: &[Unit],
     table: &'static Table,

@@ -2,9 +2,9 @@
 
 use mom_client::{Client, Map, Time};
 use mom_drive::{DeviceChannel, VerbFailure};
+use mom_program::work::wall;
 
 use crate::Objects;
-use crate::peer::wall;
 use crate::server::QUERY;
 
 /// The model's channel.

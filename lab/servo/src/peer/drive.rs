@@ -1,10 +1,11 @@
 //! The controller with the hub at both ends: images and reports in, commands out.
 
 use std::collections::BTreeMap;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use mom_client::{Channel, Client, Event, Events, Family, Parcel, Value, from_value};
 use mom_drive::{DeviceChannel, Holding, RobotState, VerbFailure, both, closed, halt, refusal};
+use mom_program::work::wall;
 use serde::Deserialize;
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::task::block_in_place;
@@ -79,14 +80,7 @@ struct CommandStatus {
 
 /// The time by the hub's clock, as all images tell theirs; by the own one as long as that is not known.
 pub(super) fn hub_now(client: &Client) -> Micros {
-    if let Some((time, _)) = client.clock().now() {
-        return time.micros();
-    }
-    let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
-    since
-        .ok()
-        .and_then(|since| Micros::try_from(since.as_micros()).ok())
-        .unwrap_or(0)
+    wall(client).micros()
 }
 
 /// Does what takes its time, some tenths of a second on a busy machine, beside the runtime's other work: the signs of life of the link

@@ -3,9 +3,9 @@
 //! They are parking_lot's, std's and tokio's own, and nothing is added to them. Only with the feature `shuttle`,
 //! which `cargo xtask shuttle` sets, are they shuttle's: it runs the threads of a test one at a time and tries one
 //! interleaving after the other. Everything that the broker's threads share must come from here; primitives from
-//! elsewhere are a single step to those tests. With the feature `lock-times` the locks measure for how long they are held.
+//! elsewhere are a single step to those tests.
 
-#[cfg(not(any(feature = "shuttle", feature = "lock-times")))]
+#[cfg(not(feature = "shuttle"))]
 pub use parking_lot::{Condvar, Mutex, MutexGuard};
 #[cfg(not(feature = "shuttle"))]
 pub use std::{sync::atomic, thread};
@@ -16,14 +16,9 @@ pub use tokio::sync::Notify;
 mod explore;
 #[cfg(feature = "shuttle")]
 mod shuttled;
-// Its own test is run, and the lints look at it, without the feature, too.
-#[cfg(all(any(feature = "lock-times", test), not(feature = "shuttle")))]
-pub mod timed;
 #[cfg(feature = "shuttle")]
 pub use explore::explore;
 #[cfg(feature = "shuttle")]
 pub use shuttle::{sync::atomic, thread};
 #[cfg(feature = "shuttle")]
 pub use shuttled::{Condvar, Mutex, MutexGuard, Notify};
-#[cfg(all(feature = "lock-times", not(feature = "shuttle")))]
-pub use timed::{Condvar, Mutex, MutexGuard, lock_times};

@@ -12,6 +12,7 @@ use mom_client::{
     Client, ClientError, Code, Delivery, Event, Events, Family, LinkState, Parcel, Path, TokenGuard,
     from_value,
 };
+use mom_screen::{Screen, keys};
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
 use self::hand::{Action, Hand};
@@ -24,7 +25,6 @@ use crate::failure::{Doing as _, Failure};
 use crate::interrupt::Interrupt;
 use crate::output::Output;
 use crate::output::event::lost_words;
-use crate::terminal::{Screen, keys};
 
 /// How often a velocity is said again.
 const AGAIN: Duration = Duration::from_millis(80);

@@ -1,45 +1,22 @@
-//! Generated Rust compiles without a warning, and brings typed values from one end to the other.
+//! Generated Rust has the layout of its model, and brings typed values from one end to the other.
 
-#![deny(missing_docs, warnings)]
-
-/// CUBO.
-#[allow(dead_code, reason = "a program need not use all of its model")]
-#[rustfmt::skip]
-#[path = "golden/cubo.rs.txt"]
-pub mod cubo;
-/// The robot of figure 8.
-#[allow(dead_code, reason = "a program need not use all of its model")]
-#[rustfmt::skip]
-#[path = "golden/ir-robot.rs.txt"]
-pub mod ir_robot;
-
-/// Every kind with every shape of data.
-#[allow(dead_code, reason = "it is compiled, and that is all")]
-#[rustfmt::skip]
-#[path = "golden/kinds.rs.txt"]
-pub mod kinds;
-/// Nothing that has data.
-#[allow(dead_code, reason = "it is compiled, and that is all")]
-#[rustfmt::skip]
-#[path = "golden/bare.rs.txt"]
-pub mod bare;
-
-use cubo::elements::{Joints, MessageRecorded, Pose};
-use cubo::middle::{Elements, Raised};
-use cubo::robot::{Body, Dispatch, Robot};
-use cubo::units::{Deg, Mm, MmPerS, Percent, S};
 use mom_rsp::middle::{Middle, Notice};
 use mom_rsp::typed::{Numbers as _, Unsent};
 use mom_rsp::{middle, robot};
 use mom_rsp_model::Model;
+use mom_rsp_typed::cubo::elements::{Joints, MessageRecorded, Pose};
+use mom_rsp_typed::cubo::middle::{Elements, Raised};
+use mom_rsp_typed::cubo::robot::{Body, Dispatch, Robot};
+use mom_rsp_typed::cubo::units::{Deg, Mm, MmPerS, Percent, S};
+use mom_rsp_typed::{bare, cubo, ir_robot, kinds};
 
 #[test]
 fn a_generated_layout_is_that_of_the_model() {
     for (text, layout) in [
-        (include_str!("../../../config/cubo.toml"), cubo::LAYOUT),
-        (include_str!("../../../config/ir-robot.toml"), ir_robot::LAYOUT),
-        (include_str!("golden/kinds.toml"), kinds::LAYOUT),
-        (include_str!("golden/bare.toml"), bare::LAYOUT),
+        (include_str!("../../../../config/cubo.toml"), cubo::LAYOUT),
+        (include_str!("../../../../config/ir-robot.toml"), ir_robot::LAYOUT),
+        (include_str!("../../tests/models/kinds.toml"), kinds::LAYOUT),
+        (include_str!("../../tests/models/bare.toml"), bare::LAYOUT),
     ] {
         let model = Model::read(text).unwrap();
         assert_eq!(layout, model.layout(&model.wire_elements()));

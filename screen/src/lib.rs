@@ -1,4 +1,4 @@
-//! The terminal as a whole, for commands that draw on it and take keys.
+//! The terminal as a whole, for programs that draw on it and take keys.
 
 use std::{io, thread};
 
@@ -7,12 +7,19 @@ use ratatui::crossterm::event::{self, Event};
 use tokio::sync::mpsc;
 
 /// The terminal, which is as it was before when this is dropped.
-pub(crate) struct Screen {
-    pub(crate) terminal: DefaultTerminal,
+#[derive(Debug)]
+pub struct Screen {
+    /// Draws.
+    pub terminal: DefaultTerminal,
 }
 
 impl Screen {
-    pub(crate) fn take() -> io::Result<Screen> {
+    /// Takes the terminal: raw keys, and a screen beside the one with its lines.
+    ///
+    /// # Errors
+    ///
+    /// Standard output is not a terminal, or cannot be set.
+    pub fn take() -> io::Result<Screen> {
         let terminal = ratatui::try_init()?;
         Ok(Screen { terminal })
     }
@@ -25,8 +32,9 @@ impl Drop for Screen {
     }
 }
 
-/// What is typed, read by a thread of its own that lasts as long as the program.
-pub(crate) fn keys() -> mpsc::UnboundedReceiver<io::Result<Event>> {
+/// What is typed, read by a thread of its own that lasts as long as the program; it ends with the first error.
+#[must_use]
+pub fn keys() -> mpsc::UnboundedReceiver<io::Result<Event>> {
     let (sender, receiver) = mpsc::unbounded_channel();
     thread::spawn(move || {
         loop {
