@@ -6,7 +6,7 @@ pub(super) const ROOMS: &[(&str, &str)] = &[
     (
         "mom-proto",
         "codec binary json xml frame slots text_form checksum fence trace loss clock_offset parcel content serde_value packed \
-         msgpack pattern path thinning names verb limits error value codes event family delivery nearest gcra stamp challenge \
+         msgpack pattern path thinning names verb limits error value codes event family delivery gcra stamp challenge \
          compression context_kind fingerprint visible",
     ),
     (
@@ -46,7 +46,7 @@ pub(super) const ROOMS: &[(&str, &str)] = &[
     ),
     (
         "mom",
-        "commands doctor top cli devices connect global terminal interrupt input output failure",
+        "commands doctor top cli devices connect global interrupt input output failure",
     ),
     (
         "mom-device",
@@ -58,35 +58,41 @@ pub(super) const ROOMS: &[(&str, &str)] = &[
     ),
     (
         "mom-arm",
-        "peer zone_watch zone_keeper rapid status arm state script machine action controller contact blocks upright_box zones \
+        "program peer zone_watch zone_keeper rapid status arm state script machine action controller contact blocks upright_box zones \
          path jog workspace reach motion pose",
     ),
     (
         "mom-camera",
-        "peer server shot calibration predicted trail renderer draw overlay view robot solid scene pan geometry source encode \
+        "program peer server shot calibration predicted trail renderer draw overlay view robot solid scene pan geometry source encode \
          settings error owner",
     ),
-    ("mom-model", "verb peer plan server look objects object owners"),
+    (
+        "mom-model",
+        "program verb peer plan server look objects object owners",
+    ),
     (
         "mom-servo",
-        "verb peer control aim plan memory eyes track motion task",
+        "program verb peer control aim plan memory eyes track motion task",
     ),
     (
         "mom-mcp",
-        "server drive script progress sight assistant answer stdio id_of tools",
+        "program server drive script progress sight assistant answer stdio id_of tools",
     ),
     (
         "mom-linuxbot",
-        "listen hearing page access eye login refusals robot glance status",
+        "program listen hearing page access eye login refusals robot glance status",
     ),
     (
         "mom-base-station",
         "program edit play station script log circuit fleet",
     ),
-    ("mom-gateway", "verb peer crew editor robot site station unit"),
+    (
+        "mom-gateway",
+        "program verb peer crew editor robot site station unit",
+    ),
     (
         "mom-simulacrum",
-        "peer generator unit action playing teller wheels link values",
+        "program peer generator unit action playing teller wheels link values",
     ),
     (
         "mom-rsp",
