@@ -10,6 +10,7 @@ use tracing_subscriber::EnvFilter;
 
 mod hub;
 mod installation;
+pub mod others;
 pub mod work;
 
 pub use hub::HubArgs;
