@@ -11,6 +11,7 @@ use tracing_subscriber::EnvFilter;
 
 mod hub;
 mod installation;
+pub mod others;
 pub mod work;
 
 pub use hub::HubArgs;

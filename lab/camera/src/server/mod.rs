@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mom_client::{Code, Content, Delivery, Event, Family, Map, Parcel, Path, Time, Value, WireError};
+use mom_program::others::Others;
 
 use crate::owner::Owner;
 use crate::pan::{CameraTime, Slew};
@@ -26,7 +27,6 @@ mod users;
 pub use real::{CAMERA_ERROR, CAMERA_RECOVERED};
 
 use real::RealCamera;
-use users::ForeignChanges;
 
 /// The message that carries a picture.
 pub const IMAGE: &str = "image";
@@ -95,7 +95,7 @@ pub struct ImageServer {
     real: Option<RealCamera>,
     calibration: Option<Arc<Calibration>>,
     owner: Owner,
-    changes: ForeignChanges,
+    changes: Others,
     scene: Scene,
     trail: Trail,
     predictor: PosePredictor,
@@ -127,7 +127,7 @@ impl ImageServer {
             real: None,
             calibration: None,
             owner: Owner::default(),
-            changes: ForeignChanges::default(),
+            changes: Others::default(),
             scene: Scene::default(),
             trail: Trail::new(options.trail),
             predictor: PosePredictor::new(HORIZON),

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use mom_client::{Code, Delivery, Event, Family, Map, Parcel, Path, Time, Value, WireError};
+use mom_program::others::Others;
 use mom_vision::blocks::Coloured;
 
 use crate::object::{as_number, difference};
@@ -16,8 +17,6 @@ mod fuse;
 mod tests;
 mod users;
 mod write;
-
-use users::ForeignWrites;
 
 /// The message with all objects, to whoever joins or asks.
 pub const OBJECTS: &str = "objects";
@@ -102,7 +101,7 @@ pub struct ModelServer {
     seq: i64,
     eyes: Vec<Eye>,
     owners: Owners,
-    foreign: ForeignWrites,
+    foreign: Others,
     /// What the arm says that it holds.
     holding: Option<String>,
     /// When it looked at its clock first.
@@ -124,7 +123,7 @@ impl ModelServer {
             told_seen: None,
             seq: now.micros() / 1000,
             owners: Owners::default(),
-            foreign: ForeignWrites::default(),
+            foreign: Others::default(),
             holding: None,
             begun: None,
             unlinked: false,

@@ -3,44 +3,25 @@
 use std::collections::BTreeMap;
 
 use mom_client::{Code, Parcel, Time, WireError};
+use mom_program::others::{MOST_WAITING, are_one};
 
 use super::write::name_of;
 use super::{ModelServer, WRITE_REFUSED};
-
-/// The most writes that wait until it is known whose they are.
-const MOST_WRITES: usize = 16;
-/// All guests are this one user to the hub, and yet not one person.
-const GUEST: &str = "guest";
-
-/// Writes by peers that do not own a token of the object.
-#[derive(Debug, Default)]
-pub(super) struct ForeignWrites {
-    /// Nobody has asked yet whose they are.
-    new: Vec<Parcel>,
-    /// The hub is being asked.
-    asked: Vec<Parcel>,
-}
 
 impl ModelServer {
     /// Whether the hub is to be asked who its peers are: the members of the tokens and of the model's channel, with
     /// their users. The answer is for [`ModelServer::handle_users`], which has to follow.
     pub fn ask_users(&mut self) -> bool {
-        let writes = &mut self.foreign;
-        if writes.new.is_empty() || !writes.asked.is_empty() {
-            return false;
-        }
-        writes.asked = std::mem::take(&mut writes.new);
-        true
+        self.foreign.ask()
     }
 
     /// Takes the users of peers, by the peers' names; none where the hub could not be asked. Those of an owner's user
-    /// write as the owner does. The hub made both names, so that nobody can pretend to be another.
+    /// write as the owner does.
     pub fn handle_users(&mut self, users: &BTreeMap<String, String>, now: Time, out: &mut Vec<Parcel>) {
-        for parcel in std::mem::take(&mut self.foreign.asked) {
+        for parcel in self.foreign.take() {
             let sender = parcel.sender.as_deref().unwrap_or_default();
-            let user = users.get(sender).filter(|user| *user != GUEST);
             let mut owners = self.owners_for(&parcel).into_iter();
-            let owner = owners.find(|owner| user.is_some() && users.get(owner) == user);
+            let owner = owners.find(|owner| are_one(users, owner, sender));
             let written = self.write(&parcel, owner.as_deref().unwrap_or(sender), now);
             out.push(self.answer(&parcel, written, WRITE_REFUSED));
         }
@@ -64,11 +45,10 @@ impl ModelServer {
         if owners.is_empty() || owners.iter().any(|owner| parcel.sender.as_deref() == Some(owner)) {
             return false;
         }
-        if self.foreign.new.len() < MOST_WRITES {
-            self.foreign.new.push(parcel.clone());
+        if self.foreign.keep(parcel) {
             return true;
         }
-        let text = format!("{MOST_WRITES} writes wait already; write again in a moment");
+        let text = format!("{MOST_WAITING} writes wait already; write again in a moment");
         let error = WireError::new(Code::TRY_LATER, text);
         out.push(self.answer(parcel, Err(error), WRITE_REFUSED));
         true
