@@ -190,7 +190,11 @@ fn devices(hub: &FarHub, settings: &Settings) -> Result<Vec<Process>> {
     let start = |password, args: &[&str], ready| hub.start_near(&program, password, args, ready);
     let mut devices = vec![start("arm", &["arm"], "the arm is ready")?];
     for view in VIEWS {
-        devices.push(start("camera", &["camera", "--view", view], "the camera is ready")?);
+        devices.push(start(
+            "camera",
+            &["camera", "--view", view],
+            "the camera is ready",
+        )?);
     }
     Ok(devices)
 }

@@ -4,6 +4,8 @@ mod debian;
 mod files;
 mod licences;
 
+use std::collections::BTreeSet;
+use std::ffi::OsString;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -118,11 +120,12 @@ pub(crate) fn run(root: &Path, programs: Option<&Path>, out: Option<&Path>, fast
         None => build(root)?,
     };
     let release = Release::of(root, fast)?;
-    let mut files = Vec::new();
+    let (mut files, mut titles) = (Vec::new(), BTreeSet::new());
     for pack in &PACKS {
         let name = format!("{}-{}-{}-linux", pack.name, release.version, env::consts::ARCH);
         let tree = out.join(name);
         lay_out(root, pack, &programs, &tree)?;
+        part_titles(&tree.join("man"), &mut titles)?;
         files.push(debian::pack(root, pack, &release, &tree, &out)?);
         files.push(archive(&release, &tree)?);
         fs::remove_dir_all(&tree)?;
@@ -225,6 +228,19 @@ fn lay_out(root: &Path, pack: &Pack, programs: &Path, tree: &Path) -> Result<()>
     let licences = licences::of(root, &packages, pack.has_console)?;
     put(&tree.join("licences"), &licences, 0o644)?;
     open(tree)
+}
+
+/// Gives the section `1robot` to pages whose title another pack has: `mom-camera` is a program of its own, and `mom camera` a command.
+/// No file may be in two packages; `man` finds either, that of section 1 first.
+fn part_titles(man: &Path, titles: &mut BTreeSet<OsString>) -> Result<()> {
+    for page in kept(man)? {
+        let title = page.file_name().context("a page has a name")?.to_owned();
+        if titles.contains(&title) {
+            fs::rename(&page, page.with_extension("1robot"))?;
+        }
+        titles.insert(title);
+    }
+    Ok(())
 }
 
 /// Packs the folder beside itself; the archive's name.
