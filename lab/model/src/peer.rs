@@ -126,7 +126,7 @@ async fn done<T>(work: &mut Option<JoinHandle<T>>) -> Option<T> {
     };
     *work = None;
     ended
-        .inspect_err(|error| tracing::error!(%error, "the model's work broke down"))
+        .inspect_err(|error| tracing::error!(%error, "the model failed with an internal error"))
         .ok()
 }
 
@@ -136,7 +136,7 @@ async fn users(client: Client, contexts: Vec<String>) -> BTreeMap<String, String
     for path in contexts {
         match client.members(&path).await {
             Ok(members) => users.extend(members.into_iter().map(|member| (member.peer, member.user))),
-            Err(error) => tracing::warn!(%error, path, "the hub does not tell whose the peers are"),
+            Err(error) => tracing::warn!(%error, path, "the hub does not tell the users of the peers"),
         }
     }
     users

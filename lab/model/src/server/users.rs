@@ -68,7 +68,7 @@ impl ModelServer {
             self.foreign.new.push(parcel.clone());
             return true;
         }
-        let text = format!("{MOST_WRITES} writes wait already; write again in a moment");
+        let text = format!("{MOST_WRITES} writes are already queued; retry later");
         let error = WireError::new(Code::TRY_LATER, text);
         out.push(self.answer(parcel, Err(error), WRITE_REFUSED));
         true
