@@ -2,6 +2,7 @@
 
 mod citations;
 mod codes;
+mod columns;
 mod glossary;
 mod imports;
 mod leftovers;
@@ -58,6 +59,7 @@ const CHECKS: &[(&str, Check)] = &[
     ("word", glossary::check),
     ("name", names::check),
     ("turn", turns::check),
+    ("columns", columns::check),
 ];
 
 /// Runs all checks on the checkout at `root` and prints the findings; whether there were none.
