@@ -367,7 +367,7 @@ address = \"10.0.0.2:4000\"
             (
                 robot(2, "localhost:1"),
                 FILE,
-                "it would be wrong, so nothing is changed: line ",
+                "the result would be invalid, so nothing was changed: line ",
             ),
             (
                 robot(3, "10.0.0.2:4000"),

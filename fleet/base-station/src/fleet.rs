@@ -443,7 +443,7 @@ mod tests {
             (
                 robot(1, ":1"),
                 Address,
-                "line 3, column 11: the host is missing or no word in `:1`",
+                "line 3, column 11: the host is missing or invalid in `:1`",
             ),
             (
                 robot(1, "a:0"),

@@ -76,7 +76,7 @@ fn answer(robot: &CuboHandle, method: &Method, path: &str) -> Answer {
     if ![Method::GET, Method::HEAD].contains(method) {
         let mut refused = words(
             StatusCode::METHOD_NOT_ALLOWED,
-            "this page is read-only: use GET or HEAD\n",
+            "this page is read-only: it accepts GET and HEAD\n",
         );
         let allowed = HeaderValue::from_static("GET, HEAD");
         refused.headers_mut().insert(ALLOW, allowed);

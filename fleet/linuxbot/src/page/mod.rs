@@ -168,7 +168,7 @@ impl Page {
             );
         }
         if ![Method::GET, Method::HEAD].contains(method) {
-            let text = "this page is read-only: use GET or HEAD\n";
+            let text = "this page is read-only: it accepts GET and HEAD\n";
             let mut answer = words(StatusCode::METHOD_NOT_ALLOWED, text);
             answer
                 .headers_mut()
