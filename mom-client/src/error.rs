@@ -34,7 +34,7 @@ pub enum ClientError {
     },
     /// The connection was lost after it had left, and it is not sent again: it moves a device, lets it move or changes who
     /// drives it. It is unknown whether it was carried out.
-    #[error("unknown whether it was carried out: {0}")]
+    #[error("it is unknown whether the request was carried out: {0}")]
     Unknown(WireError),
     /// The client is closed for good: it logged out, or the hub closed with a code of 400–499 or gave it up.
     #[error("closed{}", .0.as_ref().map(|error| format!(": {error}")).unwrap_or_default())]

@@ -90,7 +90,7 @@ impl<'a> Refusal<'a> {
             None => owner.to_owned(),
         };
         Some(match self.retry_after {
-            Some(left) if left.is_zero() => format!("{owner} holds it, though its lease is over"),
+            Some(left) if left.is_zero() => format!("{owner} holds it, although its lease has expired"),
             Some(left) => format!("{owner} holds it for {} more", plain_duration(left)),
             None => format!("{owner} holds it without a time limit"),
         })

@@ -11,7 +11,8 @@ pub(crate) struct Heard {
     pub(crate) peer: PeerId,
     pub(crate) verb: Verb,
     pub(crate) at: ContextNumber,
-    /// What [`World::grants_at`](crate::world::World::grants_at) was when it was asked: an answer about a token holds no longer than until the next grant.
+    /// What [`World::grants_at`](crate::world::World::grants_at) was when it was asked: an answer about a token holds
+    /// no longer than until the next grant.
     pub(crate) grants: u64,
     pub(crate) given: GivenAnswer,
 }

@@ -5,9 +5,10 @@
 //! effects, so a log of inputs replays exactly.
 //!
 //! Its rooms lie on one another, and each uses only those after it: `hub` (the way in), `verbs` (one per file),
-//! `contexts` (make, join, leave, delete), `stops` (who is stopped), `ownership` (tokens in the tree), `asking` (managers, peers and chairs),
-//! `world` (what the hub knows, and its effects), `messages` (admission, routes, rates), `tree` (contexts and peers as
-//! data), `token` (one token by itself), then `heard`, `content`, `values` and `peer_id`. `cargo xtask tidy` holds that.
+//! `contexts` (make, join, leave, delete), `stops` (who is stopped), `ownership` (tokens in the tree), `asking`
+//! (managers, peers and chairs), `world` (what the hub knows, and its effects), `messages` (admission, routes, rates),
+//! `tree` (contexts and peers as data), `token` (one token by itself), then `heard`, `content`, `values` and `peer_id`.
+//! `cargo xtask tidy` holds that.
 //!
 //! Functions that append effects are named `push_*`, those that carry out a verb `on`; `check` asserts what always
 //! holds, and what contradicts it in a release is a `fault` for the audit log.

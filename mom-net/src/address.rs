@@ -11,9 +11,9 @@ use crate::NetError;
 const DEFAULT_PORT: u16 = 7666;
 
 /// Where a hub is and how to speak to it: `tcp://host:port/path` for XML, `bin://…` for binary, `json://…` for JSON, `mom://…` for
-/// whichever [door](Address::doors) opens, in the binary form; `ws://…` for a WebSocket and `http://…` for a tunnel, both binary unless `?form=`
-/// says another. With TLS `tcps://…`, `bins://…`, `jsons://…`, `moms://…`, `wss://…` and `https://…`, which may end in `?pin=` and the
-/// fingerprint of the hub's certificate.
+/// whichever [door](Address::doors) opens, in the binary form; `ws://…` for a WebSocket and `http://…` for a tunnel,
+/// both binary unless `?form=` says another. With TLS `tcps://…`, `bins://…`, `jsons://…`, `moms://…`, `wss://…` and
+/// `https://…`, which may end in `?pin=` and the fingerprint of the hub's certificate.
 ///
 /// ```
 /// use mom_net::Address;
@@ -79,9 +79,10 @@ impl Address {
     ///     doors.iter().map(Address::to_string).collect::<Vec<_>>().join(" ")
     /// };
     /// assert_eq!(doors("mom://lab.example", true), "bins://lab.example:7666 wss://lab.example:443 https://lab.example:443");
-    /// assert_eq!(doors("mom://lab.example:1", false), "bins://lab.example:1 wss://lab.example:1 https://lab.example:1 bin://lab.example:1 ws://lab.example:1");
-    /// assert_eq!(doors("mom://[::1]:1", true), "bin://[::1]:1 ws://[::1]:1 http://[::1]:1 bins://[::1]:1 wss://[::1]:1 https://[::1]:1");
-    /// assert_eq!(doors("bin://lab.example", false), "bin://lab.example:7666");
+    /// assert_eq!(doors("mom://lab.example:1", false), "bins://lab.example:1 wss://lab.example:1 https://lab.example:1
+    /// bin://lab.example:1 ws://lab.example:1"); assert_eq!(doors("mom://[::1]:1", true), "bin://[::1]:1 ws://[::1]:1
+    /// http://[::1]:1 bins://[::1]:1 wss://[::1]:1 https://[::1]:1"); assert_eq!(doors("bin://lab.example", false),
+    /// "bin://lab.example:7666");
     /// ```
     pub fn doors(&self, secret: bool) -> Vec<Address> {
         if !self.any {
@@ -190,7 +191,7 @@ fn read(text: &str) -> Result<Address, String> {
         .split_once("://")
         .ok_or("it does not begin with bin:// or tcp://")?;
     let known = SCHEMES.iter().find(|scheme| scheme.name == name);
-    let scheme = known.ok_or_else(|| format!("no hub is spoken to by {name}://"))?;
+    let scheme = known.ok_or_else(|| format!("{name}:// is not a scheme of a hub"))?;
     let (door, tls) = (scheme.door, scheme.tls);
     let (rest, query) = rest.split_once('?').unwrap_or((rest, ""));
     let (mut door, mut form, mut pin) = (door, scheme.form, None);
@@ -201,7 +202,9 @@ fn read(text: &str) -> Result<Address, String> {
             }
             Some(("pin", text)) => pin = Some(read_pin(text)?),
             Some(("form", _)) if door == Door::Stream => {
-                return Err(format!("{name}:// is one form; others have schemes of their own"));
+                return Err(format!(
+                    "{name}:// implies its form; other forms have their own schemes"
+                ));
             }
             Some(("poll", "1")) if door == TUNNEL => door = Door::Tunnel { polled: true },
             Some(("form", text)) => form = read_form(text, door)?,
@@ -211,7 +214,7 @@ fn read(text: &str) -> Result<Address, String> {
     let (authority, path) = match rest.find('/') {
         Some(at) if rest.len() > at + 1 => {
             let path = Path::parse(&rest[at..]);
-            let path = path.map_err(|error| format!("its path is none: {}", error.text))?;
+            let path = path.map_err(|error| format!("its path is invalid: {}", error.text))?;
             (&rest[..at], Some(path))
         }
         Some(at) => (&rest[..at], None),
@@ -225,9 +228,9 @@ fn read(text: &str) -> Result<Address, String> {
     let inside = host.strip_prefix('[').and_then(|host| host.strip_suffix(']'));
     let named = |c: char| c.is_alphanumeric() || matches!(c, '-' | '.' | '_');
     match (inside, host) {
-        (None, "") => Err("it names no host".to_owned()),
-        (None, _) if host.contains(':') => Err("an IPv6 address stands in brackets, as [::1]".to_owned()),
-        (None, _) if !host.chars().all(named) => Err(format!("{host:?} is not a name of a host")),
+        (None, "") => Err("it has no host".to_owned()),
+        (None, _) if host.contains(':') => Err("write an IPv6 address in brackets, as [::1]".to_owned()),
+        (None, _) if !host.chars().all(named) => Err(format!("{host:?} is not a host name")),
         (Some(inside), _) if !inside.contains(':') => {
             Err("brackets are for IPv6 addresses, as [::1]".to_owned())
         }

@@ -88,7 +88,7 @@ impl Dialer {
         }
     }
 
-    /// The target of a request for this path, as whoever takes it wants it, and what the proxy has to be shown.
+    /// The target of a request for this path, in the form that its receiver requires, and what the proxy has to be shown.
     pub(crate) fn target(&self, path: &str) -> (String, Option<HeaderValue>) {
         match &self.proxy {
             // It takes requests as such, not the bytes of a connection.
@@ -134,7 +134,7 @@ impl Proxy {
         };
         Proxy::read(&found).map(Some).ok_or_else(|| {
             let text = format!(
-                "the proxy {} of the environment is none that speaks HTTP",
+                "the proxy {} of the environment is not an HTTP proxy",
                 found.uri()
             );
             io::Error::new(io::ErrorKind::InvalidInput, text).into()
@@ -192,12 +192,12 @@ impl Proxy {
 fn why(status: StatusCode, to: &str) -> String {
     let why = match status {
         StatusCode::PROXY_AUTHENTICATION_REQUIRED => {
-            "it wants a password, which HTTPS_PROXY has as http://USER:PASSWORD@HOST:PORT".to_owned()
+            "it requires a password; set HTTPS_PROXY=http://USER:PASSWORD@HOST:PORT".to_owned()
         }
         StatusCode::BAD_GATEWAY | StatusCode::SERVICE_UNAVAILABLE | StatusCode::GATEWAY_TIMEOUT => {
             format!("it does not reach {to}")
         }
-        _ => format!("it does not let anybody connect to {to}"),
+        _ => format!("it does not allow connections to {to}"),
     };
     format!("{why} (it answers {status})")
 }

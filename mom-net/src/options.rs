@@ -71,7 +71,7 @@ pub(crate) fn link(stream: &TcpStream) -> Option<TcpState> {
     if result != 0 || size as usize != size_of_val(&words) {
         return None;
     }
-    // Of a connection that was reset nothing more is acknowledged: whoever waits for that shall write, and be told.
+    // Of a connection that was reset nothing more is acknowledged: a thread that waits for that shall write, and be told.
     const CLOSED: u8 = 7;
     if words[0].to_ne_bytes()[0] == CLOSED {
         return None;

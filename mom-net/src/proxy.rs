@@ -67,11 +67,11 @@ fn step(header: &[u8]) -> Result<Step, &'static str> {
 
 fn text(header: &[u8]) -> Result<Step, &'static str> {
     if let Some(line) = header.strip_suffix(b"\r\n") {
-        let line = std::str::from_utf8(line).map_err(|_| "it has other characters than ASCII")?;
+        let line = std::str::from_utf8(line).map_err(|_| "it contains non-ASCII characters")?;
         return told(line).map(Step::Done);
     }
     if header.len() >= LONGEST || header.contains(&b'\n') {
-        return Err("its line ends with CR LF, after 107 bytes at most");
+        return Err("its line must end with CR LF within 107 bytes");
     }
     let missing = match header.ends_with(b"\r") {
         _ if header.len() < SHORTEST => SHORTEST - header.len(),
@@ -120,7 +120,7 @@ fn binary(header: &[u8]) -> Result<Step, &'static str> {
         // Unix sockets, or nothing that is known.
         (0x21, 0x00 | 0x31 | 0x32) => true,
         (0x21, 0x11 | 0x21) => false,
-        (0x21, _) => return Err("its addresses are not of TCP"),
+        (0x21, _) => return Err("its addresses are not TCP addresses"),
         _ => return Err("its version or command is unknown"),
     };
     if rest.len() < length {
@@ -129,7 +129,7 @@ fn binary(header: &[u8]) -> Result<Step, &'static str> {
     if own {
         return Ok(Step::Done(None));
     }
-    let short = "its addresses are cut short";
+    let short = "its addresses are truncated";
     let (ip, ports) = match family {
         0x11 => {
             let (addresses, ports) = rest.split_first_chunk::<8>().ok_or(short)?;

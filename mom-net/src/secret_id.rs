@@ -1,4 +1,4 @@
-//! What something is known by to whom it belongs: whoever knows it has it.
+//! An identifier that only its owner knows: knowing it is the proof of ownership.
 
 use std::fmt;
 use std::str::FromStr;

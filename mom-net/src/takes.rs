@@ -119,7 +119,7 @@ impl Takes {
             .map(Protocol::word)
             .collect();
         let text = format!(
-            "this listener does not take {} but {}; use one of these, or another address of this hub",
+            "this listener accepts {1}, not {0}; use one of these, or another address of this hub",
             protocol.word(),
             taken.join(", ")
         );

@@ -125,7 +125,7 @@ pub async fn accept(
     answer: impl FnOnce(&WireError) -> Parcel,
 ) -> Result<Accepted, NetError> {
     let mut first = BytesMut::with_capacity(4096);
-    // None while hands are shaken: whoever is told off then is told nothing.
+    // None while hands are shaken: a peer that is refused then is told nothing.
     let mut arrived = Some(Carrier::Tcp(stream));
     let told = tokio::select! {
         told = first_words(&mut arrived, tls, takes, &mut first) => told,

@@ -1,5 +1,6 @@
-//! `cargo xtask long`: what takes too long for each change: the broker's threads in many orders, the measurements' own tests, properties with new seeds, random logs by the thousand, minutes of random load, a thousand lost
-//! connections on each door, minutes of large messages that wait between short heartbeats, minutes of a thousand robots, a million
+//! `cargo xtask long`: what takes too long for each change: the broker's threads in many orders, the measurements' own
+//! tests, properties with new seeds, random logs by the thousand, minutes of random load, a thousand lost connections
+//! on each door, minutes of large messages that wait between short heartbeats, minutes of a thousand robots, a million
 //! packets of a mirrored one, and two thousand trials of the motion oracle.
 
 use std::path::Path;

@@ -1,5 +1,6 @@
-//! The project tasks of MOM: `cargo xtask lab`, `cargo xtask console`, `cargo xtask ci`, `cargo xtask test`, `cargo xtask shuttle`, `cargo xtask tidy`, `cargo xtask
-//! mutants`, `cargo xtask instructions`, `cargo xtask bench-peers`, `cargo xtask experiments`, `cargo xtask advisories`, `cargo xtask dist`.
+//! The project tasks of MOM: `cargo xtask lab`, `cargo xtask console`, `cargo xtask ci`, `cargo xtask test`, `cargo
+//! xtask shuttle`, `cargo xtask tidy`, `cargo xtask mutants`, `cargo xtask instructions`, `cargo xtask bench-peers`,
+//! `cargo xtask experiments`, `cargo xtask advisories`, `cargo xtask dist`.
 //!
 //! Everything that CI demands can be run here by the same commands, so that nothing is found only after a push.
 #![allow(

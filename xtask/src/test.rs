@@ -1,4 +1,5 @@
-//! `cargo xtask test`: every test and doctest of the workspace, of the clients in other languages and of the console, added up into one line.
+//! `cargo xtask test`: every test and doctest of the workspace, of the clients in other languages and of the console,
+//! added up into one line.
 
 use std::collections::BTreeSet;
 use std::fmt;

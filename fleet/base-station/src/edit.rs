@@ -44,7 +44,7 @@ pub enum EditError {
     #[error("{0}")]
     Before(FleetError),
     /// It would be wrong.
-    #[error("it would be wrong, so nothing is changed: {0}")]
+    #[error("the result would be invalid, so nothing was changed: {0}")]
     After(FleetError),
     /// There is no such robot.
     #[error("there is no unit {0}")]
@@ -367,12 +367,12 @@ address = \"10.0.0.2:4000\"
             (
                 robot(2, "localhost:1"),
                 FILE,
-                "it would be wrong, so nothing is changed: line ",
+                "the result would be invalid, so nothing was changed: line ",
             ),
             (
                 robot(3, "10.0.0.2:4000"),
                 FILE,
-                "10.0.0.2:4000 is the address of unit 2 already",
+                "10.0.0.2:4000 is already the address of unit 2",
             ),
             (Edit::Remove(vec![2, 7]), FILE, "there is no `[[robot]]`"),
             (Edit::Remove(vec![9]), FILE, "there is no unit 9"),

@@ -92,7 +92,7 @@ impl Address {
             return Err(format!("the port is missing: `{shown}` should be `{shown}:PORT`"));
         };
         if host.is_empty() || host.chars().any(|c| c.is_whitespace() || c.is_control()) {
-            return Err(format!("the host is missing or no word in `{shown}`"));
+            return Err(format!("the host is missing or invalid in `{shown}`"));
         }
         let digits = port.bytes().all(|byte| byte.is_ascii_digit());
         match port.parse() {
@@ -225,7 +225,7 @@ fn read(text: &str) -> Result<Fleet, Found> {
         return Err(Found::new(FleetFault::Empty, &(0..0), "there is no `[[robot]]`"));
     }
     if let Some(first) = listed.get(MOST_ROBOTS) {
-        let text = format!("{} robots are too many: there may be {MOST_ROBOTS}", listed.len());
+        let text = format!("{} robots exceed the limit of {MOST_ROBOTS}", listed.len());
         return Err(Found::new(FleetFault::TooMany, &first.span, text));
     }
     let mut robots = Vec::with_capacity(listed.len());
@@ -235,11 +235,11 @@ fn read(text: &str) -> Result<Fleet, Found> {
         let (robot, [unit_span, address_span]) = read_robot(keys)?;
         if let Some(start) = units.insert(robot.unit, unit_span.start) {
             let line = Spot::of(text, start).line;
-            let text = format!("unit {} is in line {line} already", robot.unit);
+            let text = format!("unit {} is already in line {line}", robot.unit);
             return Err(Found::new(FleetFault::UnitTwice, unit_span, text));
         }
         if let Some(other) = addresses.insert(robot.address.clone(), robot.unit) {
-            let text = format!("{} is the address of unit {other} already", robot.address);
+            let text = format!("{} is already the address of unit {other}", robot.address);
             return Err(Found::new(FleetFault::AddressTwice, address_span, text));
         }
         robots.push(robot);
@@ -396,17 +396,17 @@ mod tests {
             (
                 robot(1, "a:1") + &robot(1, "b:1"),
                 UnitTwice,
-                "line 5, column 8: unit 1 is in line 2 already",
+                "line 5, column 8: unit 1 is already in line 2",
             ),
             (
                 robot(1, "a:1") + &robot(2, "A:1"),
                 AddressTwice,
-                "line 6, column 11: a:1 is the address of unit 1 already",
+                "line 6, column 11: a:1 is already the address of unit 1",
             ),
             (
                 robot(1, "[::1]:1") + &robot(2, "[0:0::1]:1"),
                 AddressTwice,
-                "line 6, column 11: [::1]:1 is the address of unit 1 already",
+                "line 6, column 11: [::1]:1 is already the address of unit 1",
             ),
         ]);
     }
@@ -443,7 +443,7 @@ mod tests {
             (
                 robot(1, ":1"),
                 Address,
-                "line 3, column 11: the host is missing or no word in `:1`",
+                "line 3, column 11: the host is missing or invalid in `:1`",
             ),
             (
                 robot(1, "a:0"),

@@ -279,7 +279,7 @@ mod tests {
                 News::Reply(_) => continue,
             });
         }
-        let floods = "the robot sends more than it is asked for";
+        let floods = "the robot sent more than was requested";
         let expected = [
             "the robot is silent",
             floods,

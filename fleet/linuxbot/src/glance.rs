@@ -42,7 +42,7 @@ pub struct Observer {
 pub struct Observed {
     asked: Arc<Notify>,
     shown: watch::Sender<Option<Glance>>,
-    /// Whether somebody waits for the next one.
+    /// Whether a client waits for the next one.
     wanted: bool,
     /// When that may be shown.
     next: Instant,
@@ -63,7 +63,7 @@ impl Observed {
         (Observer { asked, shown }, observed)
     }
 
-    /// Waits until somebody looks, and it is time. May be dropped at any time.
+    /// Waits until a client looks, and it is time. May be dropped at any time.
     pub(crate) async fn wanted(&mut self) {
         if !self.wanted {
             self.asked.notified().await;

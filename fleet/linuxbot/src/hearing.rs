@@ -17,7 +17,7 @@ pub(crate) struct Hearing {
 
 /// More of what a base station says cannot be read than can, so that it may have said what the robot has to obey.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("what it says cannot be read")]
+#[error("it sent an invalid frame")]
 pub(crate) struct Garbled;
 
 impl Hearing {

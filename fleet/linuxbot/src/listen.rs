@@ -38,7 +38,8 @@ pub struct Options {
     pub access: Access,
     /// The commands that it knows.
     pub table: &'static Table,
-    /// A base station that says nothing for so long that is understood is held for dead, and others may drive; none: never, as the paper has it.
+    /// A base station that says nothing for so long that is understood is held for dead, and others may drive; none:
+    /// never, as the paper has it.
     pub patience: Option<Duration>,
     /// Whether a second base station is told who drives, rather than just closed.
     pub tells_holder: bool,
@@ -72,8 +73,8 @@ impl Options {
 /// Serves base stations until `shutdown` is done, one after the other. Then the motors stop, and it waits a second at most until
 /// their driver has taken that.
 ///
-/// A base station of which more cannot be read than can ([`mom_brs::MOST_ASTRAY`]) is closed, and the motors stop, also as the paper has it:
-/// what it says may be a stop.
+/// A base station of which more cannot be read than can ([`mom_brs::MOST_ASTRAY`]) is closed, and the motors stop, also
+/// as the paper has it: what it says may be a stop.
 ///
 /// # Errors
 ///
@@ -87,7 +88,7 @@ pub async fn serve(
     serve_observed(listener, robot, options, None, shutdown).await
 }
 
-/// The same, while somebody may look at the robot.
+/// The same, while a client may look at the robot.
 ///
 /// # Errors
 ///
@@ -117,7 +118,7 @@ pub async fn serve_observed(
                     admit(stream, from, &mut session, &options, &farewells, now(begin));
                 }
                 // What one connection has broken is not a fault of the listener.
-                Err(error) if is_passing(&error) => tracing::debug!(%error, "a connection was not taken"),
+                Err(error) if is_passing(&error) => tracing::debug!(%error, "a connection could not be accepted"),
                 Err(error) => break Err(error),
             },
             ended = work(&mut session, &mut robot, begin) => {
@@ -151,7 +152,7 @@ async fn stand(robot: &mut Robot, begin: Instant) {
         let Some(due) = due.filter(|due| *due <= until) else {
             tracing::error!(
                 fault = robot.fault().map(tracing::field::display),
-                "the motors may be running: their driver has not taken the stop"
+                "the motors may be running: the driver did not accept the stop"
             );
             return;
         };
@@ -359,7 +360,7 @@ fn at(begin: Instant, due: WheelTime) -> Instant {
     begin + Duration::from_micros(u64::try_from(due).unwrap_or(0))
 }
 
-/// Waits until somebody looks.
+/// Waits until a client looks.
 async fn wanted(observed: &mut Option<Observed>) -> &mut Observed {
     match observed {
         Some(observed) => {
@@ -384,7 +385,7 @@ mod tests {
     use super::*;
     use crate::Rules;
 
-    /// Each connection of somebody else has the robot catch up.
+    /// Each connection of another client has the robot catch up.
     #[tokio::test]
     async fn replies_that_nobody_reads_stay_bounded_however_many_others_connect() {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");

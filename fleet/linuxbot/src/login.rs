@@ -13,7 +13,7 @@ use http::header::AUTHORIZATION;
 /// use mom_linuxbot::Login;
 ///
 /// assert!(Login::parse("alice:secret\n").is_ok());
-/// assert_eq!(Login::parse("alice").unwrap_err(), "its first line is to be USER:PASSWORD");
+/// assert_eq!(Login::parse("alice").unwrap_err(), "its first line must be USER:PASSWORD");
 /// ```
 #[derive(Clone, PartialEq, Eq)]
 pub struct Login(Vec<u8>);
@@ -37,7 +37,7 @@ impl Login {
             Some((user, password)) if !user.is_empty() && !password.is_empty() => {
                 Ok(Self(line.as_bytes().to_vec()))
             }
-            _ => Err("its first line is to be USER:PASSWORD"),
+            _ => Err("its first line must be USER:PASSWORD"),
         }
     }
 

@@ -49,7 +49,8 @@ struct LinuxbotArgs {
     /// Show the robot's own page, with what it sees, here by HTTP; ports as for --listen
     #[arg(long, value_name = "ADDRESS:PORT")]
     web: Option<SocketAddr>,
-    /// The page asks for this user and password (HTTP Basic): the first line of the file is USER:PASSWORD. A page that is not on loopback needs it
+    /// The page asks for this user and password (HTTP Basic): the first line of the file is USER:PASSWORD. A page that
+    /// is not on loopback needs it
     #[arg(long, value_name = "FILE", requires = "web")]
     web_login: Option<PathBuf>,
     /// A base station that may drive, and look at the page, by its address; again for another. Without it: those of this machine
@@ -316,7 +317,9 @@ async fn listen(first: SocketAddr, robots: u16) -> anyhow::Result<Vec<TcpListene
         if first.port() != 0 {
             let port = first.port().checked_add(robot);
             address.set_port(
-                port.with_context(|| format!("there are no {robots} ports from {} on", first.port()))?,
+                port.with_context(|| {
+                    format!("there are fewer than {robots} ports from {} on", first.port())
+                })?,
             );
         }
         let listener = TcpListener::bind(address).await;

@@ -213,7 +213,7 @@ impl Robot {
                 self.stopped(driven, now);
             }
             Some(PilotEnd::GaveUp(why)) => {
-                tracing::info!(%why, "the way to a point is given up");
+                tracing::info!(%why, "the route to a point is given up");
                 self.forget_points();
                 self.gave_up = true;
                 self.stopped(driven, now);

@@ -124,7 +124,7 @@ async fn live(
         tracing::warn!(
             path = options.path,
             why,
-            "the robot has no place in its channel; it stands until it has"
+            "the robot could not join its channel as a device; it stands until it has joined"
         );
         let back = come_back(|| enter_robot(client, options));
         let mut back = pin!(back);

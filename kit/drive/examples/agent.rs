@@ -32,14 +32,14 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
         Ok(())
     };
-    // Be interrupted: by whoever takes the token, by the end of the scope, by Ctrl-C.
+    // Be interrupted: by a peer that takes the token, by the end of the scope, by Ctrl-C.
     let words = match holding.during(async { drop((&mut quit).await) }, work).await {
         WorkEnd::Ended(Ok(())) => "I am done, thank you".to_owned(),
         WorkEnd::Ended(Err(failure)) => format!("I stop: {failure}"),
         WorkEnd::Lost(lost) => format!("I stop: {}", lost_words("/robot/token", &lost)),
         WorkEnd::Interrupted => "I stop, as I was told to".to_owned(),
     };
-    // Return the token, which goes back to whoever gave it.
+    // Return the token, which goes back to the peer that gave it.
     holding.release().await?;
     chat.message("chat").content(words).send_acknowledged().await?;
     client.close().await;

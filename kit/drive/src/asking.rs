@@ -50,7 +50,7 @@ impl DeviceChannel {
     pub fn token(&self) -> Result<Path, VerbFailure> {
         let guard = self.channel.guard();
         guard.map(|guard| guard.token).ok_or_else(|| {
-            let text = format!("no token guards {}, so nobody can own what is there", self.path());
+            let text = format!("no token guards {}, so it cannot be owned", self.path());
             VerbFailure::plain(text)
         })
     }

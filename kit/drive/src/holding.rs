@@ -69,8 +69,8 @@ impl Holding {
         &self.guard
     }
 
-    /// Works until the work is done, or the user wants no more, or the token is lost. What was lent ends with its scope, also where the hub is
-    /// silent, and with who lent it.
+    /// Works until the work is done, or the user wants no more, or the token is lost. What was lent ends with its
+    /// scope, also where the hub is silent, and with who lent it.
     pub async fn during<T>(
         &mut self,
         interrupt: impl Future<Output = ()>,

@@ -1,8 +1,8 @@
 //! What programs share that drive a device of the lab: they join its channel, ask it ([`DeviceChannel`]), hold its token
 //! ([`Holding`]), and have it carry out one command after the other ([`Robot`]).
 //!
-//! The work ends with its scope and with who lent the token ([`Holding::during`]); a command that runs then is halted, and heard to have ended
-//! ([`Holding::end`], [`halt`]).
+//! The work ends with its scope and with who lent the token ([`Holding::during`]); a command that runs then is halted,
+//! and heard to have ended ([`Holding::end`], [`halt`]).
 //!
 //! [`VerbFailure`] says why they did not do their work, as the command line tells it.
 

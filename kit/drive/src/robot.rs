@@ -250,7 +250,7 @@ impl Robot {
         if !self.runs {
             return release.await;
         }
-        // Its own ends are told to whoever drives next, too.
+        // Its own ends are told to the next driver, too.
         let device = self.channel.clone();
         let ended = async {
             // Where events end or were lost, its end is not known, and it says nothing.

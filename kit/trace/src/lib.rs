@@ -2,7 +2,8 @@
 //!
 //! Between two calls of its program a simulated body is a function of time. So the program calls [`Trace::until`] before each call that
 //! may change what the body does, and that writes each place where the body has been since the last one. Nothing is missed while the
-//! program stands still (SIGSTOP): what the body did meanwhile is written when the program goes on, with the times at which the body did it.
+//! program stands still (SIGSTOP): what the body did meanwhile is written when the program goes on, with the times at
+//! which the body did it.
 //!
 //! The file has a line `begin` for each body, and then a line for each place: µs of `CLOCK_MONOTONIC`, and the numbers of the place.
 //!
@@ -30,7 +31,8 @@ const MOST: i64 = 60_000_000;
 pub struct Trace {
     /// None once it cannot be written any more.
     file: Option<File>,
-    /// By how much the system's clock is ahead of the program's time: the least that was seen, as a call comes after the time that it names.
+    /// By how much the system's clock is ahead of the program's time: the least that was seen, as a call comes after
+    /// the time that it names.
     ahead: i64,
     /// The time of the next place; none before the first call.
     next: Option<i64>,
@@ -75,7 +77,7 @@ impl Trace {
         if let Some(file) = &mut self.file
             && let Err(error) = file.write_all(lines.as_bytes())
         {
-            tracing::error!(%error, "the body's trace ends");
+            tracing::error!(%error, "the trace could not be written any further");
             self.file = None;
         }
     }

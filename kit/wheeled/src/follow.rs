@@ -47,7 +47,7 @@ pub struct Follower {
 #[non_exhaustive]
 pub enum Strayed {
     /// Poses between are missing, so that the way there is not known.
-    #[error("the leader is {0:.0} mm from where it was seen last, and nobody knows how it went there")]
+    #[error("the leader is {0:.0} mm from its last known position, and its path there is unknown")]
     Hole(f64),
     /// The trail is longer than can be kept.
     #[error("the leader is more than {} m ahead", MOST as f64 * STEP / 1000.0)]
@@ -293,7 +293,7 @@ mod tests {
         follower.heard(Point::new(0.0, 0.0), 1).expect("the first one");
         let hole = follower.heard(Point::new(1001.0, 0.0), 2);
         assert_eq!(hole, Err(Strayed::Hole(1001.0)));
-        let words = "the leader is 1001 mm from where it was seen last, and nobody knows how it went there";
+        let words = "the leader is 1001 mm from where it was seen last, and its path there is unknown";
         assert_eq!(hole.map_err(|error| error.to_string()), Err(words.to_owned()));
     }
 

@@ -284,7 +284,7 @@ impl Rover {
                             GiveUp::Battery { .. } => (ErrorName::Battery, ""),
                             _ => (ErrorName::Obstacle, "; drive it away from there with `motor`"),
                         };
-                        let text = format!("the robot gave its way up: {why}{advice}");
+                        let text = format!("the robot gave up its route: {why}{advice}");
                         self.fail(DeviceError::new(name, text));
                     }
                 }
@@ -297,7 +297,7 @@ impl Rover {
                     _ => None,
                 };
                 if let Some((name, why)) = hindered {
-                    let text = format!("the robot follows {} no more: {why}", follower.leader());
+                    let text = format!("the robot stopped following {}: {why}", follower.leader());
                     return self.fail(DeviceError::new(name, text));
                 }
                 if due.is_none_or(|due| due > now) {
@@ -360,8 +360,7 @@ impl Machine for Rover {
             if matches!(action, Action::Follow { .. })
                 && usize::try_from(number).is_ok_and(|number| number < count)
             {
-                let text =
-                    "nothing comes after `follow` in a script, as it goes on until another command comes";
+                let text = "`follow` must be the last command of a script: it runs until the next command";
                 return Err(DeviceError::new(ErrorName::Syntax, text).at_statement(number));
             }
         }
@@ -377,7 +376,7 @@ impl Machine for Rover {
             return Err(error);
         }
         if self.stop_again.is_some() {
-            let text = "the robot's driver has not taken its last stop, so it begins nothing";
+            let text = "the driver did not accept the last stop, so the robot starts nothing";
             return Err(DeviceError::new(ErrorName::Link, text));
         }
         self.doing = Doing::Nothing;
@@ -494,8 +493,10 @@ impl Machine for Rover {
         self.pose().unwrap_or_default()
     }
 
-    /// `{unit?, linked, leds, halting?, battery?, switches?, charging?, light?, leader?, lost-leader?, gap?}`: whether it was told to stop, and its
-    /// driver has not taken that; percent, a mask of bits, whether the battery is being charged, percent; whom it follows, whether it stands because it does not know where that is, and mm along the trail between them.
+    /// `{unit?, linked, leds, halting?, battery?, switches?, charging?, light?, leader?, lost-leader?, gap?}`: whether
+    /// it was told to stop, and its driver has not taken that; percent, a mask of bits, whether the battery is being
+    /// charged, percent; whom it follows, whether it stands because it does not know where that is, and mm along the
+    /// trail between them.
     fn report(&self) -> Map {
         let mut map = match self.unit {
             Some(unit) => Map::new().with("unit", i64::from(unit)),

@@ -85,7 +85,7 @@ fn read(text: &str) -> Result<Model, Found> {
     let plugged = plugged(ports)?;
     let has = |part| plugged.contains(&part);
     if has(Plugged::Light) && !(0.0..=1000.0).contains(&ahead) {
-        let text = format!("`light-ahead` is {ahead}, but may be only from 0 to 1000");
+        let text = format!("`light-ahead` is {ahead}; it must be 0 to 1000");
         return Err(Found::new((), &ports.span, text));
     }
     let switches = |part, mask| if has(part) { mask } else { 0 };
@@ -142,12 +142,10 @@ fn plugged(section: &Section) -> Result<Vec<Plugged>, Found> {
         };
         if !ports.contains(&port.value.as_str()) {
             let (ports, port) = (ports.join(", "), quoted(&port.value));
-            return wrong(format!(
-                "`{word}` is plugged in at one of {ports}, and not at `{port}`"
-            ));
+            return wrong(format!("`{word}` goes into one of {ports}, not `{port}`"));
         }
         if all.contains(part) {
-            return wrong(format!("`{word}` is plugged in already"));
+            return wrong(format!("`{word}` is already plugged in"));
         }
         all.push(*part);
     }

@@ -17,7 +17,7 @@ pub async fn stand(rover: &mut Rover, begin: Instant) {
     while !rover.stands() {
         let due = rover.next_wake().map(|due| instant_of(begin, due));
         let Some(due) = due.filter(|due| *due <= until) else {
-            tracing::error!("the robot may be moving: its driver has not taken the stop");
+            tracing::error!("the robot may be moving: the driver did not accept the stop");
             return;
         };
         sleep_until(due).await;

@@ -15,8 +15,8 @@ const AT_ONCE: u32 = 4;
 /// What changes with each reply, and is no reason to tell.
 const FLEETING: [&str; 5] = ["x", "y", "heading", "round-trip", "gap"];
 
-/// Tells of one robot: at once when it is something else that it does, though five times a second at most in the long run, and once a second
-/// while it only goes on.
+/// Tells of one robot: at once when it is something else that it does, though five times a second at most in the long
+/// run, and once a second while it only goes on.
 #[derive(Debug)]
 pub struct StatusTeller {
     channel: Path,
@@ -138,7 +138,7 @@ mod tests {
         }
     }
 
-    /// Else whoever waits until then would not wait at all.
+    /// Otherwise a peer that waits until then would not wait at all.
     #[test]
     fn what_is_the_same_for_long_is_due_in_the_future() {
         let mut status = StatusTeller::new(Path::parse("/fleet/status").expect("a path"), 7, None);

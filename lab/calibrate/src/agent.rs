@@ -1,4 +1,5 @@
-//! The calibration agent: hears in its channel which camera is to be calibrated, takes the robot's token from whoever asked, and gives it back.
+//! The calibration agent: hears in its channel which camera is to be calibrated, takes the robot's token from whoever
+//! asked, and gives it back.
 //!
 //! In the channel, `/calibrate`:
 //!

@@ -122,7 +122,7 @@ pub(crate) fn facing(
         return Err(no_camera("a part of the marker's places is behind it"));
     }
     if turned.is_mirrored() {
-        return Err(no_camera("it sees a mirror's picture"));
+        return Err(no_camera("its image is mirrored"));
     }
     Ok(turned)
 }

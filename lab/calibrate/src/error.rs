@@ -35,7 +35,7 @@ pub enum CalibrationError {
         most: f64,
     },
     /// What fits is not a camera: it has the marker behind it, or sees a mirror's picture.
-    #[error("what fits the measurements is not a camera: {0}")]
+    #[error("the fitted matrix is not a valid camera: {0}")]
     NoCamera(&'static str),
     /// No camera agrees with enough of the measurements.
     #[error("only {agree} of {found} measurements agree on a camera")]

@@ -339,7 +339,7 @@ impl Assistant {
                 self.put(guard);
                 self.keep_to(token, None, None);
             }
-            Err(error) => tracing::warn!("the offer came to nothing: {error}"),
+            Err(error) => tracing::warn!("the offer failed: {error}"),
         }
     }
 

@@ -122,7 +122,7 @@ async fn wait_for_gift(assistant: &Assistant, wish: &Wish, progress: &mut Progre
         }
     }
     let text = format!(
-        "nobody holds {path}, so there is nobody to ask, and you cannot take it yourself. A person gives it to you by: \
+        "nobody holds {path}, so there is no peer to ask, and you cannot take it yourself. A person gives it to you by: \
          {command}   (it is accepted as soon as it is offered; then call request_token again, or call it with wait_seconds \
          to wait for that)"
     );

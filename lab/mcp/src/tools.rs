@@ -112,8 +112,8 @@ fn stop() -> Tool {
     tool(
         "stop",
         "Stop the robot now",
-        "Stops the robot at once, whoever drives it, and tells whether it stands. Needs no token. It stays stopped until a \
-         person lets it go; you cannot. Use it when somebody or something is in danger, not to end your own work.",
+        "Stops the robot at once, even if another peer drives it, and tells whether it stands. Needs no token. It stays stopped until a \
+         person lets it go; you cannot. Use it when people or things are in danger, not to end your own work.",
         &json!({}),
         &json!([]),
     )

@@ -177,7 +177,10 @@ fn usable<'a>(objects: &'a Objects, name: &str, now: Time) -> Result<&'a Object,
         return refused(objects.too_old(object, now), hint);
     }
     if object.error > VAGUE {
-        let text = format!("where {name} is is known only to {:.0} mm", object.error);
+        let text = format!(
+            "the position of {name} is known only to within {:.0} mm",
+            object.error
+        );
         return refused(text, "see what hides it from the cameras: mom snap top");
     }
     if object.z < 0.0 {

@@ -44,7 +44,8 @@ impl Miss {
     }
 }
 
-/// How far it is; `expected` with its deviations, mm, is what was thought before, and counts where the images do not tell. None without an image.
+/// How far it is; `expected` with its deviations, mm, is what was thought before, and counts where the images do not
+/// tell. None without an image.
 #[must_use]
 pub fn miss(lines: &[Sightline], expected: [f64; 3], deviation: [f64; 3]) -> Option<Miss> {
     if lines.is_empty() {

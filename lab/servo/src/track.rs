@@ -137,7 +137,7 @@ impl Track {
     pub fn absurd(&self) -> Option<String> {
         if !self.delay.is_finite() || self.delay >= MOST_DELAY {
             return Some(format!(
-                "commands would take {:.1} s or longer, {MOST_DELAY:.1} s is the limit",
+                "the command delay is at least {:.1} s, more than the limit of {MOST_DELAY:.1} s",
                 self.delay
             ));
         }

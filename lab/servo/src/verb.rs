@@ -352,7 +352,10 @@ impl Loan<'_, '_> {
     fn whereabouts(&self) -> String {
         match &self.last {
             Some((report, at)) => {
-                let text = report.text.as_deref().unwrap_or("nothing is known of the block");
+                let text = report
+                    .text
+                    .as_deref()
+                    .unwrap_or("the state of the block is unknown");
                 format!("{text}, by its word of {:.1} s ago", at.elapsed().as_secs_f64())
             }
             None => format!("{} was not touched", self.args.first),

@@ -49,7 +49,7 @@ impl LogWriter {
         LogWriter::start_with(sink, |_, dropped| {
             tracing::error!(
                 dropped,
-                "log lines were lost: they were not read, or could not be written"
+                "log lines were lost: they were not read in time, or could not be written"
             );
         })
     }

@@ -14,7 +14,7 @@ use tokio::task::JoinSet;
 use tokio::time::{Instant, timeout_at};
 
 use crate::connection::{
-    Doors, Remote, Seated, Services, Serving, full, login_time, login_timeout, too_late,
+    AdmissionLimiter, Remote, Seated, Services, Serving, full, login_time, login_timeout, too_late,
 };
 use crate::web::{Visit, Web};
 
@@ -54,7 +54,7 @@ pub(crate) async fn listen(address: &str) -> std::io::Result<TcpListener> {
 /// One listener with all its connections.
 pub(crate) struct Listener {
     pub(crate) services: Services,
-    pub(crate) doors: Arc<Doors>,
+    pub(crate) doors: Arc<AdmissionLimiter>,
     pub(crate) tls: Arc<RwLock<Option<ServerTls>>>,
     pub(crate) web: Arc<Web>,
     pub(crate) takes: Takes,
@@ -76,7 +76,7 @@ struct Guest {
 pub(super) enum Entry {
     Known(Seated),
     /// A proxy has yet to say so, which not too many may at a time.
-    Untold(Arc<Doors>, OwnedSemaphorePermit),
+    Untold(Arc<AdmissionLimiter>, OwnedSemaphorePermit),
 }
 
 impl Listener {
@@ -189,7 +189,7 @@ impl Guest {
     async fn hear_proxy(
         &mut self,
         stream: &mut TcpStream,
-        doors: &Arc<Doors>,
+        doors: &Arc<AdmissionLimiter>,
         login_by: Instant,
     ) -> Result<Seated, NetError> {
         match timeout_at(login_by, mom_net::proxied(stream)).await {

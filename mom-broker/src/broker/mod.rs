@@ -20,7 +20,7 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, timeout_at};
 
-use crate::connection::{DRAIN, Doors, Remote, Services, Serving, login_time};
+use crate::connection::{AdmissionLimiter, DRAIN, Remote, Services, Serving, login_time};
 use crate::inquiry::Answering;
 use crate::traffic::encodings::Bounds;
 use crate::traffic::switchboard::{Keeping, Switchboard, Touched, flush};
@@ -65,7 +65,7 @@ pub enum BrokerError {
 fn hint(error: &std::io::Error) -> &'static str {
     match error.kind() {
         std::io::ErrorKind::AddrInUse => "; another broker runs there, or choose another port with --listen",
-        std::io::ErrorKind::PermissionDenied => "; ports below 1024 need rights",
+        std::io::ErrorKind::PermissionDenied => "; ports below 1024 require privileges",
         _ => "",
     }
 }
@@ -95,7 +95,7 @@ pub struct Broker {
     stopping: watch::Sender<bool>,
     tasks: JoinSet<()>,
     /// Closed when the broker stops.
-    doors: Arc<Doors>,
+    doors: Arc<AdmissionLimiter>,
     /// Replaced by [`Broker::reload`].
     pub(crate) tls: Arc<RwLock<Option<ServerTls>>>,
     pub(crate) web: Arc<Web>,
@@ -146,7 +146,7 @@ impl Broker {
         let services = Services::new(board, logins, config.limits.clone());
         let tls = Arc::new(RwLock::new(open_tls(&config)?));
         let (stopping, stop) = watch::channel(false);
-        let doors = Arc::new(Doors::new(config.connection_caps()));
+        let doors = Arc::new(AdmissionLimiter::new(config.connection_caps()));
         let web = Arc::new(Web::new(Arc::clone(&doors), &config.web));
         let mut tasks = JoinSet::new();
         let mut addresses = Vec::new();
@@ -254,12 +254,12 @@ impl Broker {
             .await
             .is_err()
         {
-            tracing::warn!("some connections did not end in time and are cut");
+            tracing::warn!("some connections did not end in time and are closed");
         }
         if let Some(store) = store
             && timeout_at(deadline, store.close()).await.is_err()
         {
-            tracing::warn!("the store did not write all in time; what it had not answered may be lost");
+            tracing::warn!("the store did not finish writing in time; unacknowledged changes may be lost");
         }
         if self.services.board.keeping.stops.is_some() {
             let board = Arc::clone(&self.services.board);
@@ -267,7 +267,7 @@ impl Broker {
                 board.keeping.stops.iter().for_each(StopFile::close);
             });
             if timeout_at(deadline, closed).await.is_err() {
-                tracing::warn!("what is stopped was not written in time");
+                tracing::warn!("the stop state was not written in time");
             }
         }
         // What is left are connections that have not said in which form they speak.
@@ -275,7 +275,7 @@ impl Broker {
         let logins = Arc::clone(&self.services.logins);
         let remembered = tokio::task::spawn_blocking(move || logins.remember()).await;
         if let Ok(Err(error)) = remembered {
-            tracing::warn!(%error, "where users have logged in is not written down");
+            tracing::warn!(%error, "the addresses from which users log in are not stored");
         }
         self.services.board.tap.stop().await;
         tracing::info!("broker stopped");
@@ -347,7 +347,7 @@ pub fn read_tls(config: &Config) -> Result<Option<ServerTls>, ConfigError> {
 /// Lets it be known after a restart where users have logged in before, if there is a directory for that.
 fn remember_places(logins: &mut Logins, directory: Option<&Path>) {
     if let Some(Err(error)) = directory.map(|directory| logins.remember_in(directory)) {
-        tracing::warn!(%error, "where users have logged in before is not known, and will not be after this start");
+        tracing::warn!(%error, "the addresses from which users logged in before are unknown, and new ones will not be stored");
     }
 }
 

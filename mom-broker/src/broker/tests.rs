@@ -13,7 +13,7 @@ use tokio::sync::{Semaphore, watch};
 
 use super::Broker;
 use super::listen::{Entry, Listener};
-use crate::connection::Doors;
+use crate::connection::AdmissionLimiter;
 use crate::web::Web;
 use crate::{BrokerError, Clock, Config, StoreError};
 
@@ -84,7 +84,7 @@ async fn so_many_connections_of_proxies_are_untold() {
         per_address: 1,
         per_user: 1,
     };
-    let doors = Arc::new(Doors::new(caps));
+    let doors = Arc::new(AdmissionLimiter::new(caps));
     let listener = Listener {
         services: broker.services.clone(),
         web: Arc::new(Web::new(Arc::clone(&doors), &WebConfig::default())),

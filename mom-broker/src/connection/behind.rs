@@ -127,7 +127,7 @@ impl Behind {
 
 /// What the sender of an `unstop` hears that a stop of its own has taken back.
 pub(super) fn withdrawn() -> WireError {
-    let text = "a stop was said after it, and before its turn came";
+    let text = "a stop was sent after it, before it was processed";
     WireError::new(Code::WITHDRAWN, text)
 }
 

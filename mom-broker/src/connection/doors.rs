@@ -17,7 +17,7 @@ use crate::traffic::outbox::Outbox;
 
 /// All connections from outside.
 #[derive(Debug)]
-pub(crate) struct Doors {
+pub(crate) struct AdmissionLimiter {
     caps: ConnectionCaps,
     state: Mutex<State>,
 }
@@ -68,7 +68,7 @@ pub(crate) struct Evicted(Stranger);
 /// The part of one connection in the counts, until it is dropped.
 #[derive(Debug)]
 pub(crate) struct Seat {
-    doors: Arc<Doors>,
+    doors: Arc<AdmissionLimiter>,
     id: u64,
     /// Who has logged in.
     user: Option<Arc<str>>,
@@ -77,7 +77,7 @@ pub(crate) struct Seat {
 /// A peer that has lost its connection, and counts as one of its user until it is back or gone.
 #[derive(Debug)]
 pub(super) struct UserPlace {
-    doors: Arc<Doors>,
+    doors: Arc<AdmissionLimiter>,
     /// None once another connection counts in its place.
     user: Option<Arc<str>>,
 }
@@ -90,9 +90,9 @@ impl Drop for UserPlace {
     }
 }
 
-impl Doors {
-    pub(crate) fn new(caps: ConnectionCaps) -> Doors {
-        Doors {
+impl AdmissionLimiter {
+    pub(crate) fn new(caps: ConnectionCaps) -> AdmissionLimiter {
+        AdmissionLimiter {
             caps,
             state: Mutex::default(),
         }
@@ -120,7 +120,7 @@ impl Doors {
     /// # Errors
     /// `too-many-connections` if nobody can go for it.
     pub(crate) fn enter(
-        self: &Arc<Doors>,
+        self: &Arc<AdmissionLimiter>,
         from: IpAddr,
     ) -> Result<(Seat, oneshot::Receiver<WireError>, Option<Evicted>), WireError> {
         let from = network(from);
@@ -141,7 +141,7 @@ impl Doors {
                 state.here -= 1;
                 state.remove(oldest).map(Evicted)
             }
-            Some(None) => return Err(full("this hub has as many connections as it may have")),
+            Some(None) => return Err(full("this hub has reached its connection limit")),
             None => None,
         };
         state.last += 1;
@@ -265,7 +265,8 @@ impl Seat {
         let mut state = self.doors.state.lock();
         let most = self.doors.caps.per_user;
         if state.users.get(user).is_some_and(|count| *count >= most) {
-            let text = format!("{user} has {most} connections, as many as one user may; close one first");
+            let text =
+                format!("{user} already has {most} connections, the limit for one user; close one first");
             return Err(full(&text).rule("connections-per-user"));
         }
         match &self.user {
@@ -332,8 +333,8 @@ fn evicted() -> WireError {
 mod tests {
     use super::*;
 
-    fn doors(all: usize, before_login: usize, per_address: usize, per_user: usize) -> Arc<Doors> {
-        Arc::new(Doors::new(ConnectionCaps {
+    fn doors(all: usize, before_login: usize, per_address: usize, per_user: usize) -> Arc<AdmissionLimiter> {
+        Arc::new(AdmissionLimiter::new(ConnectionCaps {
             all,
             before_login,
             per_address,
@@ -348,7 +349,7 @@ mod tests {
     type Guest = (Seat, oneshot::Receiver<WireError>);
 
     /// Lets one in who has somebody told to go, or not.
-    fn enter(doors: &Arc<Doors>, from: u8) -> Guest {
+    fn enter(doors: &Arc<AdmissionLimiter>, from: u8) -> Guest {
         let (seat, told, evicted) = doors.enter(address(from)).expect("let in");
         if let Some(evicted) = evicted {
             evicted.tell(|_, _| panic!("none has begun"));

@@ -102,11 +102,11 @@ impl Connection {
     fn silent(&self, now: Instant) -> WireError {
         let text = match &self.arrival.unfinished {
             Some(unfinished) if unfinished.until <= now => {
-                format!("a parcel was not whole in time; bring {LEAST_RATE} bytes a second at least")
+                format!("a parcel was not complete in time; send at least {LEAST_RATE} bytes a second")
             }
             _ => {
                 let gone = self.gone().as_secs_f64();
-                format!("nothing was heard for {gone} s; say time ping before that")
+                format!("nothing was received for {gone} s; send time ping before that")
             }
         };
         WireError::new(Code::SILENT, text)

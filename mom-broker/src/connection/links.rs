@@ -113,8 +113,9 @@ impl PeerLink {
         challenge.is_answered(&self.secret, answer, now)
     }
 
-    /// Asks whoever serves the peer to give it up, for an answer to the challenge of this number that has read so many parcels; one that has
-    /// asked before and waits still gets nothing. None if a later one was answered, or more was read since.
+    /// Asks the connection that serves the peer to give it up, for an answer to the challenge of this number that has read so many
+    /// parcels; one that has asked before and waits still gets nothing. None if a later one was answered, or more was
+    /// read since.
     pub(super) fn claim(&self, number: u64, read: u64) -> Option<oneshot::Receiver<Parked>> {
         if read < self.outbox.acknowledged_count() {
             return None;

@@ -38,7 +38,7 @@ pub(super) fn concerns(parcel: &Parcel) -> bool {
 
 /// What a peer hears whose token has expired.
 pub(super) fn proof_over() -> WireError {
-    let text = "the token has expired; log in again with a new one before that";
+    let text = "the token has expired; log in again with a new one before it expires";
     WireError::new(Code::REVOKED, text)
 }
 
@@ -332,7 +332,8 @@ impl Connection {
     }
 }
 
-/// The name of a user who asks by HTTP, so that who only looks leaves the plain name to what the user types and drives with; none if it were none.
+/// The name of a user who asks by HTTP, so that who only looks leaves the plain name to what the user types and drives
+/// with; none if it were none.
 fn name_of_visit(user: &str) -> Option<String> {
     let name = format!("{user}@http");
     check_name(&name).is_ok().then_some(name)

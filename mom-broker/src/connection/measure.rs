@@ -30,8 +30,8 @@ pub(crate) struct Measure {
 }
 
 impl Pings {
-    /// The next ping, sent now. The answer to the oldest that is not answered is of use, too: where the way there and back takes longer than
-    /// the time between two, the answer to the newest never comes in time.
+    /// The next ping, sent now. The answer to the oldest that is not answered is of use, too: where the way there and
+    /// back takes longer than the time between two, the answer to the newest never comes in time.
     pub(crate) fn next(&mut self, clock: &Clock) -> Parcel {
         let (id, sent) = (self.next, clock.wall());
         self.next += 1;

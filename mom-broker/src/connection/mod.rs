@@ -40,7 +40,7 @@ use heartbeat::Unfinished;
 use links::Served;
 use measure::{Measure, Pings};
 
-pub(crate) use doors::{Doors, Seat, full};
+pub(crate) use doors::{AdmissionLimiter, Seat, full};
 pub(crate) use login::{login_timeout, too_late};
 pub(crate) use services::{Seated, Services};
 pub(crate) use serving::{DRAIN, Serving};

@@ -60,7 +60,7 @@ impl Connection {
             Ok(Ok(parked)) => parked,
             // Another one has come after this one.
             Ok(Err(_)) => return Err(taken_over()),
-            Err(_) => return Err(not_resumed("the connection before does not give it up")),
+            Err(_) => return Err(not_resumed("the previous connection does not release it")),
         };
         let outbox = Arc::clone(parked.outbox());
         let Some(writer) = self.outbox.writer() else {
@@ -72,7 +72,9 @@ impl Connection {
         let dropped = match outbox.resend(answer.read, &writer, paths) {
             Ok(Rewound::Dropped(dropped)) => dropped,
             Ok(Rewound::Lost(lost)) => {
-                let error = not_resumed("more was under way than limits.outbox lets the hub keep");
+                let error = not_resumed(
+                    "more unacknowledged data was in flight than limits.outbox allows the hub to keep",
+                );
                 let count = i64::try_from(lost).unwrap_or(i64::MAX);
                 parked.end(Some(error.clone()));
                 return Err(error.detail("lost", count));
@@ -170,7 +172,7 @@ impl Connection {
         }
     }
 
-    /// Notes that somebody has asked for a link without its secret.
+    /// Notes a request for a link without its secret.
     fn audit_resume(&self, link: Option<&PeerLink>) {
         let tap = &self.services.board.tap;
         let name = link.map(|link| link.outbox.name());
@@ -209,7 +211,7 @@ pub(super) fn taken_over() -> WireError {
 }
 
 fn not_resumed(text: &str) -> WireError {
-    let text = format!("{text}; log in and join anew");
+    let text = format!("{text}; log in and join again");
     WireError::new(Code::NOT_RESUMED, text).detail("resumed", false)
 }
 
@@ -227,7 +229,7 @@ fn bad_count(bad: BadCount) -> WireError {
     } = bad;
     if differs {
         let text = format!(
-            "checksum: of the {read} parcels that were read some are others than the first {read} that were sent; log in anew"
+            "checksum: the {read} parcels read differ from the first {read} parcels sent; log in again"
         );
         return WireError::new(Code::BAD_COUNT, text).slot("content/checksum");
     }

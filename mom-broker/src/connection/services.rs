@@ -9,7 +9,7 @@ use mom_proto::{Limits, Parcel, WireError};
 use parking_lot::RwLock;
 use tokio::sync::{Semaphore, oneshot};
 
-use super::doors::{Doors, Seat};
+use super::doors::{AdmissionLimiter, Seat};
 use super::links::Links;
 use crate::traffic::channel::stamped;
 use crate::traffic::switchboard::Switchboard;
@@ -70,7 +70,7 @@ impl Services {
     }
 
     /// Takes in a connection, for which another may have to go.
-    pub(crate) fn seat(&self, doors: &Arc<Doors>, from: IpAddr) -> Result<Seated, WireError> {
+    pub(crate) fn seat(&self, doors: &Arc<AdmissionLimiter>, from: IpAddr) -> Result<Seated, WireError> {
         let (seat, told, evicted) = doors.enter(from)?;
         if let Some(evicted) = evicted {
             evicted.tell(|outbox, error| self.board.close(outbox, Some(error)));

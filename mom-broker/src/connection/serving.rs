@@ -144,13 +144,13 @@ impl Serving {
             written.await;
         } else if timeout(patience, written).await.is_err() {
             let peer = self.connection.peer().0;
-            tracing::debug!(peer, "what waited for it was not taken in time");
+            tracing::debug!(peer, "its queued parcels were not read in time");
         } else if timeout(FAREWELL, self.reader.drain()).await.is_err() {
             // What the peer still said was read and thrown away so long: closing with unread bytes would have reset
             // the link, and the error with it.
             tracing::debug!(
                 peer = self.connection.peer().0,
-                "not closed from the other side in time"
+                "not closed by the remote end in time"
             );
         }
         board.remove_outbox(&self.connection.outbox);

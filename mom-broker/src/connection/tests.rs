@@ -172,7 +172,7 @@ fn answer_to(challenge: &Value, user: &str, key: &SigningKey) -> Parcel {
     Parcel::new(Family::Login, "answer").content(Map::new().with("signature", signature))
 }
 
-/// Threat 16: while all places for hashing are taken, whoever is in goes on, and of those who come only so many
+/// Threat 16: while all places for hashing are taken, connected peers go on, and of those who come only so many
 /// wait; the others are told when to come again.
 #[tokio::test]
 async fn logins_that_wait_hold_nobody_up() {
@@ -228,7 +228,7 @@ async fn logins_that_wait_hold_nobody_up() {
     assert_eq!((stats.hashed, stats.hashing), (1 + waiting as u64, 0));
 }
 
-/// A refusal costs the hub as much as a small request, so whoever goes on asking is read no faster; what is not a request
+/// A refusal costs the hub as much as a small request, so a peer that goes on asking is read no faster; what is not a request
 /// passes as soon as it is read, and others do not wait.
 #[tokio::test]
 async fn who_asks_on_is_read_slowly() {

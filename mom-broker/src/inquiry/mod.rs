@@ -115,7 +115,7 @@ impl Answering {
     ) -> Result<T, WireError> {
         let running = Arc::clone(&self.running);
         let job = move || {
-            // Not under its lock: whoever changes it must not wait for this thread.
+            // Not under its lock: a thread that changes it must not wait for this one.
             let config = running.lock().clone();
             job(&config)
         };
@@ -150,7 +150,7 @@ async fn on<T: Send + 'static>(
     let failed = || {
         WireError::new(
             Code::TRY_LATER,
-            "the broker has made a fault while it answered this",
+            "internal error in the broker while answering this request",
         )
     };
     result.await.map_err(|_| failed())

@@ -66,7 +66,7 @@ impl Answering {
         };
         let tried = Tried(&self.tried);
         if self.tried.fetch_add(1, Ordering::AcqRel) >= WAITING {
-            let text = format!("{WAITING} what-ifs wait or are being decided, as many as may");
+            let text = format!("{WAITING} what-if requests are already pending, the limit");
             return Err(WireError::new(Code::TRY_LATER, text).retry_after(Duration::from_secs(1)));
         }
         let Some(log) = self.board.tap.recording().await.map(FilePath::to_owned) else {

@@ -25,8 +25,7 @@ pub(super) fn make_room(connections: usize) {
         tracing::warn!(
             connections,
             descriptors,
-            "connections are more than this process may open: further ones will wait unanswered, and files cannot be \
-             read again; configure {} at most, or raise the limit (LimitNOFILE of systemd, ulimit -n)",
+            "the configured connections exceed this process's limit of open files: further connections will wait unanswered, and files cannot be reloaded; configure at most {}, or raise the limit (LimitNOFILE of systemd, ulimit -n)",
             descriptors.saturating_sub(OWN)
         );
     }

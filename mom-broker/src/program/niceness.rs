@@ -1,4 +1,4 @@
-//! How much of the processor the system lets this process have beside others: a stop waits for whoever runs before.
+//! How much of the processor the system lets this process have beside others: a stop waits for the processes that run before it.
 
 use rustix::process::{Resource, getpriority_process, getrlimit, setpriority_process};
 
@@ -9,8 +9,8 @@ pub(super) struct Niceness {
     has: i32,
 }
 
-/// Asks for this niceness, 0 for none, or for the lowest that the system allows; of a lower one that it has already nothing is given up. Threads take it from
-/// the one that starts them, so this comes before them.
+/// Asks for this niceness, 0 for none, or for the lowest that the system allows; of a lower one that it has already
+/// nothing is given up. Threads take it from the one that starts them, so this comes before them.
 pub(super) fn ask(wanted: i32) -> Niceness {
     let now = || getpriority_process(None).unwrap_or_default();
     // What is allowed to everybody is a limit in the unit of 20 − niceness.
@@ -31,13 +31,13 @@ impl Niceness {
         if has <= wanted {
             return tracing::info!(
                 niceness = has,
-                "this broker goes before programs of a higher niceness"
+                "the broker has priority over programs of a higher niceness"
             );
         }
         tracing::info!(
             niceness = has,
             wanted,
-            "the system gives this broker no lower niceness, so a stop may wait for other programs of this machine; start it as a service \
+            "the system does not allow this broker a lower niceness, so a stop may be delayed by other programs on this machine; start it as a service \
              (Nice=-10 of systemd), or allow it: LimitNICE=-10, CAP_SYS_NICE, or a line `nice -10` in limits.conf"
         );
     }

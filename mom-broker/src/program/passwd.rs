@@ -26,7 +26,7 @@ pub(super) fn run(args: &PasswdArgs) -> Result<()> {
         Err(_) => rpassword::prompt_password(format!("Password for {user}: ")).or_else(|_| read_line())?,
     };
     if password.is_empty() {
-        bail!("an empty password lets anybody in; nothing was changed");
+        bail!("an empty password would let anyone log in; nothing was changed");
     }
     let hash = mom_broker::hash(&password).map_err(anyhow::Error::msg)?;
     let Some(file) = &args.users else {

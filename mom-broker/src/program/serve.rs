@@ -85,10 +85,10 @@ pub(super) fn run(args: &ServeArgs) -> Result<()> {
     let log_filter = log(&config.log, args.log_json, &lines, spans)?;
     niceness.tell();
     if args.config.is_none() {
-        tracing::warn!("no configuration: nobody can log in; try --config config/lab.toml");
+        tracing::warn!("no configuration: no user can log in; try --config config/lab.toml");
     } else if config.store.path.is_none() {
         tracing::warn!(
-            "no [store] path: who owns which token is forgotten when the broker ends; only fences go on rising"
+            "no [store] path: token ownership is lost when the broker ends; only fences keep rising"
         );
     }
     let runtime = tokio::runtime::Builder::new_multi_thread()
@@ -171,7 +171,7 @@ impl ServeArgs {
                     break;
                 }
                 name = meaningless(&mut users) => {
-                    tracing::warn!("{name} means nothing here: SIGHUP reads the configuration again, SIGTERM stops");
+                    tracing::warn!("{name} is ignored: SIGHUP reloads the configuration, SIGTERM stops the broker");
                     continue;
                 }
                 _ = hang_up.recv() => tracing::info!("SIGHUP: reading the configuration again"),

@@ -74,7 +74,7 @@ impl BatchWriter {
             if let Err(error) = thread::Builder::new().name("mom-gather".to_owned()).spawn(run) {
                 // Nobody would write them.
                 self.shared.state.lock().ended = true;
-                tracing::warn!(%error, "no thread to gather writes: each is made at once");
+                tracing::warn!(%error, "cannot start the thread that batches writes: each is written at once");
             }
         });
         let mut state = self.shared.state.lock();

@@ -71,7 +71,9 @@ pub(crate) fn no_capacity(
     let waited = waited.map_or(String::new(), |waited| {
         format!(" within {} ms", waited.as_millis())
     });
-    let text = format!("{who}{others} in {path} had no room for it{waited}; nobody got it");
+    let text = format!(
+        "the outbox of {who}{others} in {path} was full{waited}; the message was not delivered to anyone"
+    );
     WireError::new(Code::TRY_LATER, text)
         .detail("slow", names(slow))
         .retry_after(retry)

@@ -14,7 +14,7 @@ use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 /// Inquiries of all peers at a time.
 const MOST: usize = 64;
 
-/// When whoever was told to try later may do so.
+/// When a peer that was told to try later may do so.
 const AGAIN: Duration = Duration::from_secs(1);
 
 /// One question.
@@ -57,9 +57,9 @@ impl Inquiries {
             let mut asking = self.asking.lock();
             let text = match (asking.contains(&to), asking.len() >= MOST) {
                 (true, _) => {
-                    "this peer has asked already: one audit, explain or what-if is answered after the other"
+                    "this peer already has a pending audit, explain or what-if request; only one is answered at a time"
                 }
-                (_, true) => "too many are asking for audit, explain or what-if",
+                (_, true) => "too many audit, explain or what-if requests are pending",
                 (false, false) => "",
             };
             if !text.is_empty() {
@@ -69,12 +69,15 @@ impl Inquiries {
         }
         self.waiting.send(inquired).map_err(|_| {
             self.answered(to);
-            WireError::new(Code::TRY_LATER, "nobody answers this here, or the broker stops")
-                .retry_after(AGAIN)
+            WireError::new(
+                Code::TRY_LATER,
+                "this broker does not answer this request, or is shutting down",
+            )
+            .retry_after(AGAIN)
         })
     }
 
-    /// The questions, for who answers them; none if somebody does.
+    /// The questions, for the thread that answers them; none once one has taken them.
     pub(crate) fn take(&self) -> Option<UnboundedReceiver<Inquired>> {
         self.taken.lock().take()
     }

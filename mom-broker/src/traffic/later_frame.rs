@@ -24,7 +24,7 @@ pub(crate) struct LaterFrame {
     bounds: Bounds,
     workers: Arc<Workers>,
     begun: AtomicBool,
-    /// Who is charged for it, if somebody is.
+    /// The user who is charged for it, if any.
     account: OnceLock<Arc<Account>>,
     /// For what was written, beside the parcel.
     charge: OnceLock<Charge>,

@@ -316,7 +316,8 @@ fn whole(used: usize) -> usize {
 
 /// Why something is refused of who is charged most.
 pub(crate) fn over_memory() -> WireError {
-    let text = "what waits of this user is more than of any other, and the hub has no memory for more";
+    let text =
+        "the hub's memory is exhausted, and this user's queued messages take more of it than any other's";
     WireError::new(Code::OVER_MEMORY, text).retry_after(std::time::Duration::from_secs(1))
 }
 

@@ -98,7 +98,7 @@ impl HttpConnection {
             refuse(
                 StatusCode::BAD_REQUEST,
                 "bad-content",
-                "a login has 16 KiB at most, within 10 s",
+                "a login request must not exceed 16 KiB and must arrive within 10 s",
             )
         })?;
         let login: Login = serde_json::from_slice(&body.to_bytes()).map_err(|error| {

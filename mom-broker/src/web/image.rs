@@ -88,7 +88,7 @@ impl Visitor {
         }
         if all.len() >= MOST {
             let text = format!(
-                "one visitor watches {MOST} channels at most; wait {} s",
+                "one visitor may watch at most {MOST} channels; retry in {} s",
                 IDLE.as_secs()
             );
             return Err(refuse_wire(

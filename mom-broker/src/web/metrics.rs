@@ -32,7 +32,7 @@ impl HttpConnection {
             (_, true) => refuse(
                 StatusCode::SERVICE_UNAVAILABLE,
                 "too-many-connections",
-                "this hub has as many connections as it may have",
+                "this hub has reached its connection limit",
             ),
             _ => answers::text(StatusCode::OK, "ready\n"),
         }
@@ -60,7 +60,7 @@ impl HttpConnection {
             Err(_) => refuse(
                 StatusCode::INTERNAL_SERVER_ERROR,
                 "internal",
-                "the figures have no text",
+                "cannot format the metrics",
             ),
         }
     }
@@ -101,9 +101,14 @@ impl HttpConnection {
         }
         registry.register("peers", "Peers that have logged in", kinds);
         if named {
-            registry.register_with_unit("peer_queued", "What waits for a peer", Unit::Bytes, queued);
+            registry.register_with_unit("peer_queued", "Bytes queued for a peer", Unit::Bytes, queued);
             registry.register("peer_dropped", "Parcels dropped on their way to a peer", dropped);
-            registry.register_with_unit("peer_round_trip", "To a peer and back", Unit::Seconds, round_trip);
+            registry.register_with_unit(
+                "peer_round_trip",
+                "Round-trip time to a peer",
+                Unit::Seconds,
+                round_trip,
+            );
         }
     }
 
@@ -115,18 +120,19 @@ impl HttpConnection {
         } = self.services.board.totals();
         registry.register("channels", "Channels", ConstGauge::new(whole(channels)));
         let counted = [
-            ("messages", "Messages that channels have taken", counts.sent),
-            (
-                "deliveries",
-                "Messages that outboxes of receivers have taken",
-                counts.delivered,
-            ),
+            ("messages", "Messages accepted by channels", counts.sent),
+            ("deliveries", "Messages queued for receivers", counts.delivered),
         ];
         for (name, help, count) in counted {
             registry.register(name, help, ConstCounter::new(count));
         }
         let bytes = ConstCounter::new(counts.bytes);
-        registry.register_with_unit("message", "Content of the messages taken", Unit::Bytes, bytes);
+        registry.register_with_unit(
+            "message",
+            "Content bytes of the messages accepted",
+            Unit::Bytes,
+            bytes,
+        );
         let dropped = Family::<Labels, Counter>::default();
         for class in [Delivery::Reliable, Delivery::Latest, Delivery::Fleeting] {
             for ((reason, _), count) in counts.dropped.iter().filter(|((_, of), _)| *of == class) {
@@ -139,7 +145,7 @@ impl HttpConnection {
         }
         registry.register("dropped", "Messages dropped for a receiver", dropped);
         let waiting = ConstGauge::new(whole(queued));
-        registry.register_with_unit("queued", "What waits for receivers", Unit::Bytes, waiting);
+        registry.register_with_unit("queued", "Bytes queued for receivers", Unit::Bytes, waiting);
         let ages = Family::<Labels, Gauge<f64, AtomicU64>>::default();
         for (quantile, percent) in [("0.5", 50), ("0.99", 99)] {
             let age = counts.ages.as_ref().and_then(|ages| ages.percentile(percent));
@@ -162,24 +168,29 @@ impl HttpConnection {
         info.get_or_create(&vec![("version", version)]).set(1);
         registry.register("build", "The version of the broker", info);
         let up = ConstGauge::new(self.web.begun.elapsed().as_secs_f64());
-        registry.register_with_unit("up", "Since the broker was started", Unit::Seconds, up);
+        registry.register_with_unit("up", "Time since the broker was started", Unit::Seconds, up);
         let (used, bound) = self.services.board.memory.used_and_bound();
         let memory = "Memory charged to users";
         registry.register_with_unit("memory", memory, Unit::Bytes, ConstGauge::new(whole(used)));
         if let Some(bound) = bound {
             let bound = ConstGauge::new(whole(bound));
-            registry.register_with_unit("memory_bound", "How much of it may be", Unit::Bytes, bound);
+            registry.register_with_unit(
+                "memory_bound",
+                "Limit of the memory charged to users",
+                Unit::Bytes,
+                bound,
+            );
         }
         let (here, strangers) = self.web.doors.counts();
         registry.register("places", "Connections from outside", ConstGauge::new(whole(here)));
         let strangers = ConstGauge::new(whole(strangers));
-        registry.register("strangers", "Of these, who has not logged in", strangers);
+        registry.register("strangers", "Connections that have not logged in", strangers);
         let logins = self.services.logins.stats();
         registry.register("passwords", "Passwords hashed", ConstCounter::new(logins.hashed));
         let waiting = ConstGauge::new(whole(logins.waiting));
         registry.register(
             "passwords_waiting",
-            "Logins whose password is hashed or waits for it",
+            "Logins whose password is being hashed or is queued for hashing",
             waiting,
         );
         for (name, help, count) in own_process() {
@@ -197,7 +208,7 @@ fn own_process() -> Vec<(&'static str, &'static str, i64)> {
         let bytes = whole(pages.saturating_mul(rustix::param::page_size()));
         found.push((
             "process_resident_memory_bytes",
-            "Memory that the broker has",
+            "Resident memory of the broker",
             bytes,
         ));
     }

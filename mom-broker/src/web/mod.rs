@@ -35,7 +35,7 @@ use parking_lot::{Mutex, RwLock};
 use tokio::sync::oneshot;
 use tokio::time::{Instant, sleep_until};
 
-use crate::connection::{Doors, Remote, Seat, Seated, Services, login_time, login_timeout};
+use crate::connection::{AdmissionLimiter, Remote, Seat, Seated, Services, login_time, login_timeout};
 
 use answers::{Body, allow, allow_all, refuse};
 use console::Files;
@@ -53,7 +53,7 @@ const IDLE: Duration = Duration::from_secs(60);
 /// All that is asked by HTTP.
 #[derive(Debug)]
 pub(crate) struct Web {
-    doors: Arc<Doors>,
+    doors: Arc<AdmissionLimiter>,
     tunnels: Arc<Tunnels>,
     rules: RwLock<Arc<Rules>>,
     visitors: Arc<Visitors>,
@@ -105,7 +105,7 @@ struct Upgrade {
 }
 
 impl Web {
-    pub(crate) fn new(doors: Arc<Doors>, config: &WebConfig) -> Web {
+    pub(crate) fn new(doors: Arc<AdmissionLimiter>, config: &WebConfig) -> Web {
         Web {
             doors,
             tunnels: Arc::default(),
@@ -288,7 +288,10 @@ impl HttpConnection {
             let text = "send the body with Content-Length, without Transfer-Encoding";
             Some((StatusCode::LENGTH_REQUIRED, text))
         } else if !hosts(request.version()).contains(&headers.get_all(HOST).into_iter().count()) {
-            Some((StatusCode::BAD_REQUEST, "a request has one Host"))
+            Some((
+                StatusCode::BAD_REQUEST,
+                "a request must have exactly one Host header",
+            ))
         } else if headers.contains_key(CONTENT_ENCODING) {
             let text = "send the body as it is, without Content-Encoding";
             Some((StatusCode::UNSUPPORTED_MEDIA_TYPE, text))

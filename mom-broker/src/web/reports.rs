@@ -149,7 +149,7 @@ impl HttpConnection {
     /// Says a report in the channel for them.
     pub(super) async fn take_report(&self, request: Request<Incoming>) -> Response<Body> {
         if request.method() != Method::POST {
-            let text = "POST reports an error; whoever may read the reports uses mom logs";
+            let text = "use POST to report an error; read reports with mom logs";
             let mut answer = refuse(StatusCode::METHOD_NOT_ALLOWED, "unknown-verb", text);
             answer
                 .headers_mut()
@@ -163,7 +163,7 @@ impl HttpConnection {
         let from = remote.from.unwrap_or(IpAddr::V4(Ipv4Addr::UNSPECIFIED));
         if let Err(wait) = self.web.reports.take(from, self.services.board.clock.now()) {
             let text = format!(
-                "there are at most {PER_ADDRESS} reports in a minute from one address, and {ALL} in all"
+                "at most {PER_ADDRESS} reports a minute are accepted from one address, and {ALL} in total"
             );
             let mut answer = refuse(StatusCode::TOO_MANY_REQUESTS, "try-later", &text);
             let seconds = wait.as_millis().div_ceil(1000).max(1) as u64;
@@ -175,11 +175,17 @@ impl HttpConnection {
         let body = match timeout(BODY, Limited::new(request.into_body(), MOST).collect()).await {
             Ok(Ok(body)) => body.to_bytes(),
             Ok(Err(error)) if error.is::<LengthLimitError>() => {
-                let text = format!("a report has at most {MOST} bytes");
+                let text = format!("a report must not exceed {MOST} bytes");
                 return refuse(StatusCode::PAYLOAD_TOO_LARGE, "too-long", &text);
             }
-            Ok(Err(_)) => return refuse(StatusCode::BAD_REQUEST, "bad-content", "the body is cut short"),
-            Err(_) => return refuse(StatusCode::REQUEST_TIMEOUT, "timed-out", "the body does not come"),
+            Ok(Err(_)) => return refuse(StatusCode::BAD_REQUEST, "bad-content", "the body ended early"),
+            Err(_) => {
+                return refuse(
+                    StatusCode::REQUEST_TIMEOUT,
+                    "timed-out",
+                    "the body did not arrive in time",
+                );
+            }
         };
         let report = match Report::read(&body) {
             Ok(report) => report,
@@ -195,7 +201,7 @@ impl HttpConnection {
 }
 
 fn no_log() -> Response<Body> {
-    let text = "this hub takes no reports; its owner can name a channel for them: [web] log";
+    let text = "this hub does not accept reports; its owner can set a channel for them: [web] log";
     refuse(StatusCode::NOT_FOUND, "unknown-path", text)
 }
 

@@ -35,7 +35,7 @@ impl HttpConnection {
         let remote = self.remote_of(request.headers());
         let near = |from: IpAddr| from.to_canonical().is_loopback() && !remote.relayed;
         if !self.is_secured(remote) && !remote.from.is_some_and(near) {
-            let text = "a tunnel without TLS is for loopback: others could take it over; use https://";
+            let text = "a tunnel without TLS is allowed over loopback only, because others could hijack it; use https://";
             return refuse(StatusCode::FORBIDDEN, Code::INSECURE.word(), text);
         }
         let from = remote.from.unwrap_or(IpAddr::V4(Ipv4Addr::UNSPECIFIED));
@@ -47,7 +47,7 @@ impl HttpConnection {
             return refuse(
                 StatusCode::INTERNAL_SERVER_ERROR,
                 "internal",
-                "this machine has no randomness",
+                "the system's random number generator failed",
             );
         };
         let answer = tunnel.opened();

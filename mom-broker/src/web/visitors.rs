@@ -23,8 +23,8 @@ use crate::connection::{Remote, Serving, login_time};
 const IDLE: Duration = Duration::from_secs(15 * 60);
 const TOKEN_IDLE: Duration = Duration::from_secs(60);
 
-/// Visits of guests from one address that are open at once, each a peer of the hub: one more ends the one that was not used for longest, so that nobody
-/// locks all others out.
+/// Visits of guests from one address that are open at once, each a peer of the hub: one more ends the one that was not
+/// used for longest, so that nobody locks all others out.
 const GUESTS: usize = 16;
 
 /// The name of the cookie.
@@ -183,7 +183,7 @@ impl HttpConnection {
             refuse(
                 StatusCode::INTERNAL_SERVER_ERROR,
                 "internal",
-                "this machine has no randomness",
+                "the system's random number generator failed",
             )
         })?;
         let visitors = &self.web.visitors;
@@ -238,7 +238,7 @@ impl HttpConnection {
             return Ok(remote);
         }
         let text =
-            "a login is taken over TLS, or over loopback only, because others could read it; use https://";
+            "a login is accepted over TLS or loopback only, because others could read it; use https://";
         Err(WireError::new(Code::INSECURE, text))
     }
 }

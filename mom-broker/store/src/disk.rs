@@ -91,7 +91,7 @@ impl LaneFile {
     pub(super) fn open(file: &FilePath) -> Result<(LaneFile, LaneImage), StoreError> {
         // The database asserts what it expects of its pages in debug builds; that too is only damage.
         let opened = quiet::catch(|| LaneFile::open_checked(file));
-        opened.unwrap_or_else(|| Err(damaged(file, "its pages contradict each other")))
+        opened.unwrap_or_else(|| Err(damaged(file, "its pages are inconsistent")))
     }
 
     fn open_checked(file: &FilePath) -> Result<(LaneFile, LaneImage), StoreError> {
@@ -110,7 +110,7 @@ impl LaneFile {
         // Pages are checked at a repair only, and what is not looked at now would be believed later.
         match database.check_integrity() {
             Ok(true) => {}
-            Ok(false) => tracing::warn!(file = %file.display(), "free space was counted anew"),
+            Ok(false) => tracing::warn!(file = %file.display(), "free space was recounted"),
             Err(DatabaseError::Storage(error)) => return Err(judge(error.into())),
             Err(error) => return Err(judge(error.into())),
         }

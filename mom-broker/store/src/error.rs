@@ -9,7 +9,7 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The directory cannot be made or used.
-    #[error("[store] {}: {error}; path has to be a directory that this user may write to", path.display())]
+    #[error("[store] {}: {error}; path must be a directory writable by this user", path.display())]
     Directory {
         /// The directory.
         path: PathBuf,
@@ -29,7 +29,7 @@ pub enum StoreError {
     #[error(
         "[store] {}: {reason}; the broker does not start, so that no fence falls and no token is granted in the \
          time of another's lease. To go on without what the store held: halt what the tokens guard, wait for the \
-         longest lease, see that this machine's clock is right, move {} away, and start again",
+         longest lease, check that this machine's clock is right, move {} away, and start again",
         file.display(),
         directory(file)
     )]
@@ -40,7 +40,7 @@ pub enum StoreError {
         reason: String,
     },
     /// A file cannot be read or written.
-    #[error("[store] {}: {reason}; see that the disk is well, has room, and that this user may write to it", file.display())]
+    #[error("[store] {}: {reason}; check that the disk is healthy, has free space, and is writable by this user", file.display())]
     Unwritable {
         /// The file.
         file: PathBuf,
@@ -70,7 +70,7 @@ pub enum StoreError {
     /// The epoch is not a number.
     #[error(
         "[store] state, {}: this is not the number that was written there; the broker does not start, so that no fence \
-         falls. To go on without it: halt what the tokens guard, see that this machine's clock is right, move the \
+         falls. To go on without it: halt what the tokens guard, check that this machine's clock is right, move the \
          file away, and start again",
         file.display()
     )]
@@ -79,7 +79,7 @@ pub enum StoreError {
         file: PathBuf,
     },
     /// The wall clock is beyond all fences.
-    #[error("fences of the epoch {epoch} are beyond 2^53; see that this machine's clock is right")]
+    #[error("fences of the epoch {epoch} are beyond 2^53; check that this machine's clock is right")]
     Clock {
         /// The epoch that would follow.
         epoch: u64,

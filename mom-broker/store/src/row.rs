@@ -45,7 +45,7 @@ impl LaneMeta {
             let seen = (0..lanes).map(|_| body.try_get_u64()).collect::<Result<_, _>>()?;
             Ok(LaneMeta { lane, epoch, seen })
         };
-        let meta = read().map_err(|error| format!("the row {key:?} is cut: {error}"))?;
+        let meta = read().map_err(|error| format!("the row {key:?} is truncated: {error}"))?;
         whole(key, body, meta)
     }
 }
@@ -105,7 +105,7 @@ fn opened<'a>(key: &str, mut row: &'a [u8]) -> Result<&'a [u8], String> {
     let expected = row.try_get_u32().map_err(|error| cut(&error))?;
     if sum(key, row) != expected {
         return Err(format!(
-            "the sum of the row {key:?} is wrong: something changed it"
+            "the checksum of the row {key:?} is wrong: it was modified"
         ));
     }
     match row.try_get_u8() {
@@ -120,7 +120,7 @@ fn opened<'a>(key: &str, mut row: &'a [u8]) -> Result<&'a [u8], String> {
 fn whole<T>(key: &str, rest: &[u8], found: T) -> Result<T, String> {
     match rest.is_empty() {
         true => Ok(found),
-        false => Err(format!("the row {key:?} goes on after its end")),
+        false => Err(format!("the row {key:?} has data after its end")),
     }
 }
 

@@ -80,7 +80,7 @@ impl StopFile {
             let copy = fs::copy(&path, &damaged).ok().map(|_| damaged.display());
             tracing::error!(
                 file = %path.display(), reason, copy = copy.map(tracing::field::display),
-                "what was stopped cannot be read: all devices are stopped until somebody unstops them"
+                "what was stopped cannot be read: all devices are stopped until they are unstopped"
             );
             unread = Some(reason);
             BTreeMap::new()
@@ -88,7 +88,7 @@ impl StopFile {
         for (other, reason) in others.join(&mut records) {
             tracing::error!(
                 file = %other.display(), reason,
-                "what was stopped in another broker cannot be read: all devices are stopped until somebody unstops them"
+                "what was stopped in another broker cannot be read: all devices are stopped until they are unstopped"
             );
             unread = unread.or(Some(format!("{}: {reason}", other.display())));
         }
@@ -347,7 +347,7 @@ fn read(path: &FilePath, lock: Option<&File>) -> Result<BTreeMap<Path, StopRecor
     let (head, body) = text.split_once('\n').ok_or("it is cut")?;
     let sum = head.strip_prefix(FORM).map(str::trim);
     if sum != Some(&sum_of(body)) {
-        return Err("its sum is wrong: something changed it, or it is cut".to_owned());
+        return Err("its checksum is wrong: it was modified or truncated".to_owned());
     }
     let rows: Vec<StopRow> = serde_json::from_str(body).map_err(|error| error.to_string())?;
     let records = rows.into_iter().map(StopRow::record);

@@ -16,7 +16,7 @@ pub fn open_own(path: &Path) -> io::Result<File> {
     let file = options.open(path)?;
     match file.try_lock() {
         Err(TryLockError::WouldBlock) => {
-            let text = "another broker writes to it";
+            let text = "another broker is writing to it";
             return Err(io::Error::new(io::ErrorKind::ResourceBusy, text));
         }
         // File systems without locks are accepted.

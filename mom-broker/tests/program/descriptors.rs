@@ -43,7 +43,7 @@ fn a_change_is_applied_once_descriptors_are_there_again() {
             format!("users = \"users.toml\"\nreload = \"{reload}\"\n[limits]\nlogin-time = 600000\n");
         write("mom.toml", &config);
         let broker = Running::of_command(limited(64), &folder.path().join("mom.toml"));
-        let warning = broker.logged("connections are more than this process may open");
+        let warning = broker.logged("the configured connections exceed this process");
         assert!(warning.contains("connections=10000 descriptors=64"), "{warning}");
         // More than there are descriptors for: the system takes them, and the broker cannot.
         let crowd: Vec<TcpStream> = (0..80).map(|_| broker.connect()).collect();

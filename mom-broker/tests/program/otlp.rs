@@ -192,7 +192,7 @@ async fn a_collector_that_is_not_there_costs_spans_and_one_line() {
     let (_client, channel) = chat(&broker).await;
     say(&channel, "say", "01").await;
     let line = broker.logged("OTLP");
-    for words in ["takes no spans", &address.to_string(), "refused"] {
+    for words in ["does not accept spans", &address.to_string(), "refused"] {
         assert!(line.contains(words), "{words} in {line}");
     }
     for _ in 0..5 {

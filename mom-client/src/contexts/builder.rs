@@ -136,14 +136,14 @@ impl Builder {
         }
     }
 
-    /// A token (JWT) of an issuer that the hub trusts; it names the user itself, and is sent where a password is. When it expires the hub closes
-    /// the link, unless [`Client::authenticate_again`] came before.
+    /// A token (JWT) of an issuer that the hub trusts; it names the user itself, and is sent where a password is. When
+    /// it expires the hub closes the link, unless [`Client::authenticate_again`] came before.
     pub fn token(self, token: impl Into<String>) -> Builder {
         self.proof(Proof::Token(token.into()))
     }
 
-    /// The same, from a function that is asked at each login, so that a token that has expired is fetched anew. Where it has worked once its
-    /// errors are those of a connection: it is asked again later.
+    /// The same, from a function that is asked at each login, so that a token that has expired is fetched anew. Where
+    /// it has worked once its errors are those of a connection: it is asked again later.
     pub fn token_from<F, E>(self, ask: impl Fn() -> F + Send + Sync + 'static) -> Builder
     where
         F: Future<Output = Result<String, E>> + Send + 'static,
@@ -217,7 +217,7 @@ impl Builder {
     }
 
     /// How often both sides say that they are there, from 100 ms to 10 s; by default as the hub says, and never more seldom. A connection
-    /// is lost after three times that without a byte: whoever moves a device, or is one, wants it short. Out of that range
+    /// is lost after three times that without a byte: a peer that moves a device, or is one, wants it short. Out of that range
     /// [`connect`](Builder::connect) refuses.
     pub fn heartbeat(mut self, every: Duration) -> Builder {
         self.credentials.heartbeat = Some(every);
@@ -225,7 +225,7 @@ impl Builder {
     }
 
     /// How long to wait for a reply, and for a connection with its login. The defaults are 40 s for a reply, because
-    /// a manager may have to ask somebody, and 10 s for a connection. A lost link ends the wait sooner.
+    /// a manager may have to ask a peer, and 10 s for a connection. A lost link ends the wait sooner.
     pub fn request_timeout(mut self, timeout: Duration) -> Builder {
         self.settings.request_timeout = timeout;
         self.settings.connect_timeout = timeout;
@@ -268,7 +268,8 @@ impl Builder {
 
     /// Which installed program a device is: the same after each start, and no other's, 64 bytes at most. Where a channel has one
     /// device, a program that is started later takes the place of its own earlier start, which hears
-    /// [`Event::Expelled`](crate::Event::Expelled) and halts; any other device is refused as `occupied`. By default each client is another one.
+    /// [`Event::Expelled`](crate::Event::Expelled) and halts; any other device is refused as `occupied`. By default
+    /// each client is another one.
     pub fn installation(mut self, id: &str) -> Builder {
         self.settings.installation = Installation::new(id);
         self
@@ -282,13 +283,14 @@ impl Builder {
     }
 
     /// Reports to the hub, once and by plain HTTP, the error by which the first attempt to connect fails, if it is one of the connection;
-    /// under this name and version of a program. Off by default: it goes in the clear, to whoever answers at the address.
+    /// under this name and version of a program. Off by default: it goes in the clear, to any server at the address.
     pub fn report_failures(mut self, program: &str, version: &str) -> Builder {
         self.reporter = Some((program.to_owned(), version.to_owned()));
         self
     }
 
-    /// Connects and logs in, without retrying unless [`wait_for_hub`](Builder::wait_for_hub) says so. Needs a tokio runtime, in which the client's tasks then run.
+    /// Connects and logs in, without retrying unless [`wait_for_hub`](Builder::wait_for_hub) says so. Needs a tokio
+    /// runtime, in which the client's tasks then run.
     ///
     /// # Errors
     /// `Address` for a wrong address, `Local` for a bad key, a heartbeat out of range and, with the code `insecure`, for a password or

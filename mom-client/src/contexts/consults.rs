@@ -85,7 +85,7 @@ impl Consults {
             match self.queue.next().await? {
                 Event::Other(parcel) => match Consult::read(&parcel, &self.client) {
                     Some(consult) => return Some(consult),
-                    None => tracing::warn!(id = parcel.id, "a question of the hub that cannot be read"),
+                    None => tracing::warn!(id = parcel.id, "malformed question from the hub"),
                 },
                 Event::Lagged(missed) => self.missed += missed,
                 // Not needed here: after a lost link the hub asks again.

@@ -1,4 +1,4 @@
-//! The events of a context, as whoever subscribed takes them.
+//! The events of a context, as a subscriber receives them.
 
 use std::sync::Arc;
 
@@ -11,9 +11,9 @@ use crate::peer::subscribers::EventQueue;
 ///
 /// Events wait in a bounded queue. When it is full the oldest are dropped, and the next event is [`Event::Lagged`]
 /// with their number. What stops a device or lets it go is never dropped: `stop`, `unstop`, `halt`, [`Event::Stops`] and
-/// [`Event::LinkDown`]; of many only the newest of each sender waits. A message that has expired by the hub's clock is not delivered, only counted
-/// ([`HubClock::expired`](crate::HubClock::expired)). A context's events keep its membership and the connection
-/// alive.
+/// [`Event::LinkDown`]; of many only the newest of each sender waits. A message that has expired by the hub's clock is
+/// not delivered, only counted ([`HubClock::expired`](crate::HubClock::expired)). A context's events keep its
+/// membership and the connection alive.
 ///
 /// ```no_run
 /// # async fn example(client: mom_client::Client) -> Result<(), mom_client::ClientError> {

@@ -1,4 +1,4 @@
-//! Membership of a context for as long as somebody needs it.
+//! Membership of a context for as long as a caller needs it.
 
 use std::sync::Arc;
 

@@ -137,7 +137,7 @@ impl Client {
 }
 
 impl Stopping {
-    /// Why, for whoever finds the devices stopped.
+    /// The reason, for those who find the devices stopped.
     pub fn reason(mut self, reason: &str) -> Stopping {
         self.content.set("reason", reason);
         self

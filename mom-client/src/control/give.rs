@@ -140,7 +140,7 @@ pub struct Given {
 
 /// Why the other peer does not get the token.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the offer to {to} came to nothing: {reason}")]
+#[error("the offer to {to} failed: {reason}")]
 pub struct Lapsed {
     /// To whom it was offered.
     pub to: String,

@@ -116,7 +116,7 @@ impl Latch {
         matches!(self.held, Some(Held::Own(_)))
     }
 
-    /// Stops by itself, until somebody lifts that.
+    /// Stops by itself, until that is lifted.
     pub fn stop_itself(&mut self, why: &str) -> Reaction {
         if self.held.is_none() {
             self.held = Some(Held::Own(why.to_owned()));

@@ -79,7 +79,7 @@ impl StateGate {
             return Err(WireError::new(Code::BAD_SLOT, text).slot(BASED_ON));
         };
         let text = match given {
-            _ if given > self.newest => "no such state has been told since the device was started",
+            _ if given > self.newest => "the device has not published this state since it was started",
             _ if given < self.moved => "the device has moved since the state that this was based on",
             _ if self.moving => "the device is still moving, so no state of it holds",
             _ => return Ok(()),

@@ -72,7 +72,7 @@ impl Shared {
             None if parcel.family == Family::Error => state.deliver_refused(&parcel),
             None => tracing::debug!(
                 reference = parcel.reference,
-                "a reply that nobody waits for any more"
+                "a reply to a request that was given up"
             ),
         }
     }

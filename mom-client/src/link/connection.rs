@@ -167,7 +167,7 @@ fn renew(shared: &Shared, now: Instant) {
 }
 
 fn stood_still() -> NetError {
-    let text = "this program stood still for longer than the link lives without a sign of life";
+    let text = "this program stalled for longer than the link's timeout";
     NetError::Io(std::io::Error::new(std::io::ErrorKind::TimedOut, text))
 }
 

@@ -119,7 +119,7 @@ impl Opening<'_> {
 
     /// Why no door has let it through.
     pub(crate) fn failed(&mut self) -> ClientError {
-        let none = || ClientError::Connection("no door is left to try".to_owned());
+        let none = || ClientError::Connection("no address is left to try".to_owned());
         let error = self.failed.take().unwrap_or_else(none);
         let others = self.tried.len().saturating_sub(1);
         match error {

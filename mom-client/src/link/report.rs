@@ -86,7 +86,7 @@ pub(crate) async fn send(address: &Address, report: &Report) -> Result<(), Clien
         false => {
             let said = String::from_utf8_lossy(&said);
             Err(ClientError::Connection(format!(
-                "the hub takes no report: {status} {}",
+                "the hub did not accept the report: {status} {}",
                 said.trim()
             )))
         }

@@ -82,7 +82,7 @@ impl Shared {
         if let Err(bad) = state.outbox.acknowledge(kept, read) {
             tracing::warn!(
                 ?bad,
-                "the hub has read other parcels than those that were sent: a lost connection will not be resumed"
+                "the hub has read parcels that differ from those sent: a lost connection will not be resumed"
             );
             *ledger = None;
         }
@@ -130,11 +130,11 @@ impl Shared {
         let (unread, late) = match state.outbox.resend(kept, resumption.read, resent) {
             Ok((Rewound::Dropped(unread), late)) => (unread, late),
             Ok((Rewound::Lost(lost), _)) => {
-                tracing::warn!(lost, "more was under way than is kept");
+                tracing::warn!(lost, "more unacknowledged data was in flight than is kept");
                 return false;
             }
             Err(bad) => {
-                tracing::warn!(?bad, "the hub has read other parcels than those that were sent");
+                tracing::warn!(?bad, "the hub has read parcels that differ from those sent");
                 return false;
             }
         };

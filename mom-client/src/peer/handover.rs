@@ -74,7 +74,7 @@ pub(crate) struct Handovers {
 struct OpenHandover {
     handover: Arc<Handover>,
     stage: HandoverStage,
-    /// Whether somebody still has a use for the token.
+    /// Whether a caller still needs the token.
     wanted: bool,
 }
 

@@ -92,10 +92,11 @@ fn unsent(reason: DropReason) -> Option<ClientError> {
             Code::WITHDRAWN,
             "a stop came after this unstop, before it was sent",
         ),
-        DropReason::Replaced => local(Code::WITHDRAWN, "a newer one came after it, before it was sent"),
-        DropReason::Expired => local(Code::EXPIRED, "its time was over before it was sent"),
+        DropReason::Replaced => local(Code::WITHDRAWN, "a newer one superseded it before it was sent"),
+        DropReason::Expired => local(Code::EXPIRED, "it expired before it was sent"),
         DropReason::Lost => {
-            let text = "it was lost before this was sent, and it would come too late: it is not sent";
+            let text =
+                "the connection was lost before this was sent, and it would arrive too late: it is not sent";
             Some(ClientError::Connection(text.to_owned()))
         }
         DropReason::Unknown => {

@@ -22,7 +22,7 @@ use crate::wire::welcome::Welcome;
 use crate::{ClientError, LinkState};
 
 /// Capacity for messages that wait to be written: 4 MiB in units of 1 KiB; and a quarter of that more for urgent ones, which
-/// would else wait behind whoever waits for capacity.
+/// would otherwise wait behind the senders that wait for capacity.
 const CAPACITY: u32 = 4096;
 const URGENT_CAPACITY: u32 = 1024;
 const CAPACITY_UNIT: usize = 1024;

@@ -105,6 +105,6 @@ impl State {
 
 /// What moves a device, lets it move or changes who drives it is of its moment.
 pub(crate) fn too_late() -> ClientError {
-    let text = "it is lost, and what is said now would come too late: it is not sent";
+    let text = "the connection is lost, and the message would arrive too late: it is not sent";
     ClientError::Connection(text.to_owned())
 }

@@ -84,7 +84,7 @@ pub(crate) enum JoinPhase {
 pub(crate) enum Want {
     /// Send the join.
     Join(oneshot::Receiver<Joined>),
-    /// Wait for somebody else's join.
+    /// Wait for another caller's join.
     Wait(oneshot::Receiver<Joined>),
     /// Nothing.
     Have(Arc<Map>),

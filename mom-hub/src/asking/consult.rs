@@ -58,7 +58,7 @@ impl World {
         let managing = self.tree.managing(wish.at);
         let (Some(context), Some(managing)) = (self.tree.get(wish.at), managing) else {
             self.fault::<()>("a manager has to ask that manages nothing");
-            let text = "nobody manages this context, so it is closed";
+            let text = "no manager is set for this context, so it is closed";
             return WireError::new(Code::DENIED, text).rule(&defer.label).into();
         };
         Refusal::Defer(Box::new(Deferred {
@@ -120,7 +120,7 @@ impl World {
             // A manager of somebody else's making that panics must not end the hub, nor let anybody in.
             Some(question) => std::panic::catch_unwind(AssertUnwindSafe(|| manager.decide(&question)))
                 .unwrap_or_else(|_| {
-                    let text = "the manager of this context failed, so nobody may";
+                    let text = "the manager of this context failed, so access is denied";
                     Verdict::deny(Code::DENIED, "failed manager", text)
                 }),
             None => nobody(),
@@ -240,6 +240,6 @@ fn nobody() -> Verdict {
     Verdict::deny(
         Code::DENIED,
         "no manager",
-        "nobody manages this context, so it is closed",
+        "no manager is set for this context, so it is closed",
     )
 }

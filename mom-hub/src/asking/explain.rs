@@ -1,4 +1,4 @@
-//! Refusals with all that helps whoever is refused (M29).
+//! Refusals with all that helps the refused peer (M29).
 
 use std::time::Duration;
 
@@ -109,11 +109,11 @@ impl World {
         let (rule, text) = match (holders.is_empty(), kept) {
             (false, _) => (
                 "shared hold",
-                format!("{path} is inhibited: as long as somebody holds it so, nobody owns it"),
+                format!("{path} is inhibited: nobody can own it until every inhibitor releases it"),
             ),
             (true, Some(_)) => (
                 "restart",
-                format!("{path} waits for who owned it before the hub was started anew"),
+                format!("{path} is reserved for its owner from before the hub restarted"),
             ),
             (true, None) => {
                 let owner = found.and_then(|found| found.owner.as_ref());

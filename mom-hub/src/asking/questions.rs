@@ -119,7 +119,7 @@ struct Whom {
 }
 
 impl Questions {
-    /// Lets a request wait for an answer. It is returned at once if there is nobody to ask.
+    /// Lets a request wait for an answer. It is returned at once if there is no peer to ask.
     pub(crate) fn postpone(
         &mut self,
         world: &mut World,
@@ -138,7 +138,7 @@ impl Questions {
         let asked = whom.find(world);
         let label = Arc::clone(&deferred.defer.label);
         if asked.is_empty() {
-            let given = unanswered(label, "there is nobody to ask");
+            let given = unanswered(label, "there is no peer to ask");
             return resume(world, request, whom.heard(given), out);
         }
         let peer = request.peer;
@@ -185,9 +185,9 @@ impl Questions {
         let own = self.waiting_of(peer);
         let all = self.of_user.get(user).copied().unwrap_or_default();
         let text = if own.questions >= MOST_OF_ONE || own.bytes >= MOST_BYTES {
-            "too many requests of this peer wait for somebody's answer".to_owned()
+            "too many requests of this peer are waiting for an answer".to_owned()
         } else if all.questions >= MOST_OF_USER || all.bytes >= MOST_BYTES_OF_USER {
-            format!("too many requests of {user}'s peers wait for somebody's answer")
+            format!("too many requests of {user}'s peers are waiting for an answer")
         } else {
             return Ok(());
         };
@@ -301,7 +301,7 @@ impl Questions {
         };
         let user = self.of_user.entry(Arc::clone(&pending.user)).or_default();
         if pending.behind.len() >= MOST_SENDS || bytes >= MOST_BYTES || user.bytes >= MOST_BYTES_OF_USER {
-            let text = "an earlier message to this channel still waits for who manages it";
+            let text = "an earlier message to this channel is still waiting for its manager";
             return Err(WireError::new(Code::TRY_LATER, text));
         }
         user.bytes += size(parcel);
@@ -332,7 +332,7 @@ impl Questions {
     pub(crate) fn refuse_all_of(&mut self, world: &mut World, peer: PeerId, out: &mut Vec<Effect>) {
         let own = self.of_peer.get(&peer).into_iter().flatten();
         let own: Vec<u64> = own.copied().collect();
-        let error = WireError::new(Code::WITHDRAWN, "who asked is gone before it was answered");
+        let error = WireError::new(Code::WITHDRAWN, "the requester left before it was answered");
         for question in own {
             let Some(pending) = self.take(world, question) else {
                 continue;
@@ -382,7 +382,7 @@ fn finish(world: &mut World, pending: Pending, given: GivenAnswer, out: &mut Vec
         hold_sends(world, channel, peer, false);
     }
     let first = if channel.is_some() && given.by.is_none() && !given.allow {
-        let text = "who manages this channel did not answer in time";
+        let text = "this channel's manager did not answer in time";
         let error = WireError::new(Code::TRY_LATER, text).rule(&given.label);
         world.push_refusal(peer, &request.parcel, &error, out);
         None
@@ -400,7 +400,8 @@ fn resume(world: &mut World, mut request: Due, heard: Heard, out: &mut Vec<Effec
         .answers
         .retain(|known| known.grants == world.grants_at(known.at));
     if request.answers.len() >= MOST_OF_ONE {
-        let error = WireError::new(Code::DENIED, "the manager asks without end").rule(&heard.given.label);
+        let error = WireError::new(Code::DENIED, "the manager keeps asking and does not decide")
+            .rule(&heard.given.label);
         request.refuse(world, (&error, None), out);
         return None;
     }

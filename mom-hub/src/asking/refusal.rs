@@ -12,7 +12,7 @@ use crate::messages::age::Aged;
 pub(crate) enum Refusal {
     /// For good.
     Error(WireError),
-    /// Not before somebody was asked.
+    /// Not before a peer was asked.
     Defer(Box<Deferred>),
 }
 

@@ -14,7 +14,7 @@ use crate::{Audit, Effect, PeerId};
 impl World {
     /// Deletes a context with all below it. All tokens are lost before: first everything is safe, while the channels
     /// that lead to the devices are still there. Much is deleted in steps, between which others have their turns;
-    /// whoever asked for it is answered at the end.
+    /// the requester is answered at the end.
     pub(crate) fn delete(
         &mut self,
         number: ContextNumber,

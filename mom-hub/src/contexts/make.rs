@@ -130,12 +130,13 @@ impl World {
         let made = self.tree.made_by(user);
         let most = self.settings.limits.user_contexts;
         if !most.allows(made.contexts + 1) {
-            let text = format!("{user} has made {most} contexts, as many as one user may; delete some first");
+            let text =
+                format!("{user} has created {most} contexts, the limit for one user; delete some first");
             return Err(WireError::new(Code::FULL, text).rule("user-contexts"));
         }
         if managing > 0 && made.managing + managing > MANAGING {
             let text = format!(
-                "the managers of {user}'s contexts take {} bytes, and {MANAGING} is the most; \
+                "the managers of {user}'s contexts take {} bytes, more than the limit of {MANAGING}; \
                  name a manager of the configuration, or delete some",
                 made.managing
             );
@@ -272,7 +273,7 @@ impl World {
         };
         let token = self.tree.token_at(&guard.token);
         if token.is_some_and(|(_, token)| token.guarded.len() >= GUARDED) {
-            let text = format!("{} guards {GUARDED} channels, as many as may be", guard.token);
+            let text = format!("{} guards {GUARDED} channels, the limit", guard.token);
             return Err(WireError::new(Code::FULL, text).slot("content/guard/token"));
         }
         Ok(())

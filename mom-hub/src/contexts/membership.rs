@@ -102,8 +102,8 @@ impl World {
         None
     }
 
-    /// Whether a peer that is gone waits for others that go in the same moment from where many are, so that all of them cost one new route. Who has
-    /// a token, or wants one, does not wait.
+    /// Whether a peer that is gone waits for others that go in the same moment from where many are, so that all of them
+    /// cost one new route. Who has a token, or wants one, does not wait.
     fn goes_with_others(&self, leaving: &Leaving) -> bool {
         let has_nothing = |peer: &Peer| peer.owns.is_empty() && peer.involved.is_empty();
         matches!(leaving.then, Then::Forget)

@@ -58,7 +58,7 @@ impl World {
 
 fn occupied(context: &Context, by: &Member) -> WireError {
     let text = format!(
-        "{} obeys the commands in {} already: end it first, or give the channel devices = \"several\" if all are to obey",
+        "{} is already the device in {}: end it first, or set devices = \"several\" on the channel to allow several",
         by.facts.name, context.path
     );
     let details = Map::new()

@@ -21,7 +21,7 @@ impl Hub {
     /// - A token is owned or shared, not both; each peer that waits, asks, is offered or holds is in its parent, and
     ///   knows it.
     /// - Requests on a token are held back only while a change of it is being stored.
-    /// - Questions that wait have somebody to answer, and a timer.
+    /// - Pending questions have a peer to answer them, and a timer.
     /// - A timer waits for exactly each peer that may come back.
     ///
     /// # Panics

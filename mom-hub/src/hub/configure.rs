@@ -254,7 +254,7 @@ fn change_user(
     let Some(root) = world.tree.root().map(|root| root.number) else {
         return world.fault("there is no root to be put out of");
     };
-    let text = "this user was removed from the configuration, or what it has logged in with";
+    let text = "this user, or the credential it logged in with, was removed from the configuration";
     put_out(world, questions, (root, peer, None), Some(text), out);
 }
 
@@ -292,7 +292,7 @@ fn review(world: &mut World, questions: &mut Questions, out: &mut Vec<Effect>) {
     thin_devices(world, questions, out);
 }
 
-/// Leaves one device in each channel that has one at most by now: whoever was there first of those whose links live.
+/// Leaves one device in each channel that has one at most by now: the first of those whose links live.
 fn thin_devices(world: &mut World, questions: &mut Questions, out: &mut Vec<Effect>) {
     let mut surplus = Vec::new();
     for context in world.tree.iter().filter(|context| context.has_one_device()) {

@@ -30,7 +30,7 @@ pub(super) fn log_in(
             if known.is_some() {
                 depart(world, questions, peer, out);
                 if world.peers.get(peer).is_some() || world.leaving.contains_key(&peer) {
-                    let text = "this peer has joined too much to become another user at once: connect anew";
+                    let text = "this peer has joined too many contexts to change its user; reconnect instead";
                     refuse(world, peer, id, &WireError::new(Code::TRY_LATER, text), out);
                     return;
                 }

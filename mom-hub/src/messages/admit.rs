@@ -170,7 +170,7 @@ pub fn admit_with(
         // A message waits in no queue.
         Answer::Queue(wait) => return Err(refusal(&wait.denial, &member.facts, now)),
         Answer::Defer(defer) => {
-            let text = "who manages this channel was not asked yet";
+            let text = "this channel's manager was not asked yet";
             return Err(WireError::new(Code::TRY_LATER, text).rule(&defer.label));
         }
     };
@@ -235,8 +235,8 @@ fn sender(route: &Route, peer: PeerId) -> Result<&Member, WireError> {
     })
 }
 
-/// Checks that what moves a device was not said before a stop was lifted: who said it did not see what has become of the device since. It may
-/// come so late where an uplink stood still and was not lost.
+/// Checks that what moves a device was not said before a stop was lifted: who said it did not see what has become of
+/// the device since. It may come so late where an uplink stood still and was not lost.
 #[cold]
 fn check_lifted(route: &Route, parcel: &Parcel, age: Option<Aged>, wall: Time) -> Result<(), WireError> {
     let late = route
@@ -246,7 +246,7 @@ fn check_lifted(route: &Route, parcel: &Parcel, age: Option<Aged>, wall: Time) -
     if !late {
         return Ok(());
     }
-    let text = "a stop was lifted after this was said; look how the device stands, and say it again";
+    let text = "a stop was lifted after this was sent; check the device's state, then send it again";
     Err(WireError::new(Code::TOO_LATE, text))
 }
 
@@ -306,7 +306,7 @@ fn not_owner(
     let text = match owner {
         None => format!("{name} on {path} needs {token}, which nobody holds: grab it first"),
         Some(owner) if owner.peer == member.peer => {
-            format!("the commands for which {token} was given are used up; it goes back")
+            format!("the commands granted with {token} are used up; it is returned")
         }
         Some(owner) => format!(
             "{name} on {path} needs {token}, which {} (level {}) holds",

@@ -55,7 +55,7 @@ pub(crate) fn check_age(
     }
     if is_ahead((micros, error), clock) {
         let text = format!(
-            "its timestamp is {} ms in the future, by the clock that its sender has shown so far, ± {} ms",
+            "its timestamp is {} ms in the future by its sender's measured clock, ± {} ms",
             micros.unsigned_abs() / 1000,
             error.div_ceil(1000)
         );
@@ -84,24 +84,24 @@ pub(crate) fn check_life(parcel: &Parcel, age: impl Into<i128>) -> Result<(), Wi
         return Ok(());
     }
     let text = format!(
-        "it was worth something for {} ms, and is {} ms old",
+        "it expired: valid for {} ms, {} ms old",
         parcel.expires.unwrap_or_default(),
         age / 1000
     );
     Err(WireError::new(Code::EXPIRED, text).slot("expires"))
 }
 
-/// Why a message that a token guards does not pass that expires, and of which nobody knows how old it is: counted from its arrival, a command
-/// that has waited for a minute in a network would move the device.
+/// Why a message that a token guards does not pass that expires, and of which nobody knows how old it is: counted from
+/// its arrival, a command that has waited for a minute in a network would move the device.
 #[cold]
 pub(crate) fn unknown_age(parcel: &Parcel) -> WireError {
     match parcel.timestamp {
         None => {
-            let text = "it expires so long after its timestamp, which it does not have";
+            let text = "an expiry is relative to the timestamp, and the message has none";
             WireError::new(Code::BAD_SLOT, text).slot("timestamp")
         }
         Some(_) => {
-            let text = "its age is not known, as the hub has not measured its sender's clock yet; answer the hub's pings, and say it again";
+            let text = "its age is unknown: the hub has not measured its sender's clock yet; answer the hub's pings, then send it again";
             WireError::new(Code::TRY_LATER, text)
                 .slot("expires")
                 .retry_after(MEASURED)

@@ -96,7 +96,7 @@ impl Usage {
 
 fn over(what: &str, bucket: Bucket, wait: Wait) -> WireError {
     let text = format!(
-        "more than this peer's share: {} {what} per second, {} at once",
+        "rate limit of this peer exceeded: {} {what} per second, {} at once",
         bucket.per_second, bucket.burst
     );
     let error = WireError::new(Code::OVER_QUOTA, text);

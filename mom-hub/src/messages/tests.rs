@@ -258,7 +258,7 @@ fn commands_that_are_counted_are_for_the_hub() {
     assert_eq!(error.code, Code::NOT_OWNER);
     assert_eq!(
         error.text,
-        "the commands for which /lab/key was given are used up; it goes back"
+        "the commands granted with /lab/key are used up; it is returned"
     );
     assert_eq!(
         admit_with(&counted, ALICE, &allowed(), &mut parcel, &ingress(0)),

@@ -59,7 +59,7 @@ impl World {
             self.uninvolve(change.to, number);
         }
         if !durable {
-            let text = "the change of owner could not be made durable, so nothing was changed";
+            let text = "the change of owner could not be stored, so nothing was changed";
             let error = WireError::new(Code::STORAGE_FAILED, text);
             return self.call_off(number, &change, &error, Code::STORAGE_FAILED.word(), out);
         }
@@ -242,5 +242,8 @@ impl World {
 }
 
 fn lost_meanwhile(path: &Path) -> WireError {
-    WireError::new(Code::NO_OFFER, format!("who gave {path} has lost it meanwhile"))
+    WireError::new(
+        Code::NO_OFFER,
+        format!("the peer that gave {path} has lost it meanwhile"),
+    )
 }

@@ -176,7 +176,7 @@ impl World {
             return self.fault("a token that is not there has lost its owner");
         };
         let text = format!(
-            "the owner whom this peer asked has lost {}; grab it, or ask again",
+            "the owner that this peer asked has lost {}; grab it, or ask again",
             context.path
         );
         let error = WireError::new(Code::WITHDRAWN, text);

@@ -90,7 +90,7 @@ pub(super) fn push_grabbed(
 }
 
 impl World {
-    /// Tells whoever a token concerns that its owner has lost its connection, or has come back.
+    /// Tells the peers that a token concerns that its owner has lost its connection, or has come back.
     pub(crate) fn push_link(&self, number: ContextNumber, owner: PeerId, out: &mut Vec<Effect>) {
         let (Some(context), Some(known)) = (self.tree.get(number), self.peers.get(owner)) else {
             return self.fault("a token or its owner is not there");

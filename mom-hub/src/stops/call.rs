@@ -134,7 +134,10 @@ fn order(
         );
     }
     if args.only.as_ref().is_some_and(Vec::is_empty) {
-        return bad("only", "an empty list is for nobody: leave out `only` for all");
+        return bad(
+            "only",
+            "the list `only` is empty; leave it out to address all devices",
+        );
     }
     let stops: BTreeMap<Path, Fence> = match (verb, kind, args.stop, args.stops) {
         (Verb::Unstop, ContextKind::Channel, Some(number), None) => {
@@ -158,7 +161,7 @@ fn order(
             );
         }
         (_, _, None, None) => BTreeMap::new(),
-        _ => return bad("stop", "a stop is given its number by the hub"),
+        _ => return bad("stop", "the hub assigns the number of a stop"),
     };
     Ok(Order {
         call: world.stops.last_call + 1,
@@ -180,7 +183,7 @@ impl World {
         if walking.count() < SWEEPS {
             return Ok(());
         }
-        let text = "this peer's earlier stops of whole sessions are still on their way";
+        let text = "this peer's earlier stops of whole sessions are still pending";
         Err(WireError::new(Code::TRY_LATER, text).retry_after(Duration::from_micros(WALKS)))
     }
 
@@ -474,8 +477,8 @@ pub(crate) fn end_call(world: &mut World, number: u64, out: &mut Vec<Effect>) {
 /// A call whose walk is longer than its time is answered when that is over, looked at so often.
 const WALKS: Micros = 20_000;
 
-/// `{channels: [{path, number, guard, kept, devices: [{peer, word, moving?, rest?, reached?}], newer, error}], others, denied}`; `keeps` says whether
-/// anything outlives the hub.
+/// `{channels: [{path, number, guard, kept, devices: [{peer, word, moving?, rest?, reached?}], newer, error}], others,
+/// denied}`; `keeps` says whether anything outlives the hub.
 fn answer(call: &Call, keeps: bool) -> Map {
     let fails = |kept| keeps && call.verb == Verb::Stop && kept == Kept::No;
     let obeys = match call.verb {

@@ -71,7 +71,7 @@ impl DeviceWord {
             return Ok(());
         }
         let text = format!(
-            "no hub has given out a stop of number {}; see that this machine's clock is right, or start the device without what it remembers",
+            "no hub has assigned the stop number {}; check that this machine's clock is right, or start the device without what it remembers",
             self.number
         );
         Err(WireError::new(Code::BAD_CONTENT, text).slot("content/device/stop"))
@@ -86,8 +86,8 @@ impl World {
         member.is_some_and(|member| member.device)
     }
 
-    /// Notes that a device is there, and has a stop for one device by name hold for one that is new here and has its name but for what the hub added: it may be the
-    /// same one, started again while its old connection keeps the name.
+    /// Notes that a device is there, and has a stop for one device by name hold for one that is new here and has its
+    /// name but for what the hub added: it may be the same one, started again while its old connection keeps the name.
     fn welcome_device(&mut self, channel: ContextNumber, peer: PeerId, out: &mut Vec<Effect>) {
         let name = self.peers.get(peer).map(|peer| Arc::clone(&peer.facts.name));
         let path = self.tree.get(channel).map(|context| context.path.clone());
@@ -246,7 +246,7 @@ impl World {
                 .is_some_and(|only| only.iter().all(|name| Some(name) == own))
     }
 
-    /// Takes in how a device says that it stands, if somebody waits for that.
+    /// Takes in how a device says that it stands, if a peer waits for that.
     pub(crate) fn note_word(
         &mut self,
         channel: ContextNumber,

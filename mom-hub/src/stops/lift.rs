@@ -112,7 +112,7 @@ fn lift(
     out: &mut Vec<Effect>,
 ) -> Result<Vec<Newer>, WireError> {
     if !kept {
-        let text = "that devices may move could not be kept, so they stay stopped";
+        let text = "the unstop could not be stored, so the devices stay stopped";
         return Err(WireError::new(Code::STORAGE_FAILED, text));
     }
     let Some(route) = world

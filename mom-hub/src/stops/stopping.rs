@@ -117,7 +117,7 @@ impl World {
     }
 }
 
-/// Why somebody stops, as the content of a `stop` says it: a string, or a map with `reason`.
+/// The reason for a stop, as the content of a `stop` gives it: a string, or a map with `reason`.
 pub(crate) fn reason_of(parcel: &Parcel) -> Option<Arc<str>> {
     let content = read(parcel)?;
     let reason = match &content {

@@ -68,11 +68,11 @@ impl Token {
     /// `full`, or `held` if the peer waits already.
     pub(crate) fn enqueue(&mut self, waiter: QueuedGrab) -> Result<(), WireError> {
         if let Some(place) = self.place_of(waiter.peer) {
-            let text = "this peer waits for it already; release takes that back";
+            let text = "this peer is already waiting for it; release cancels the wait";
             return Err(WireError::new(Code::HELD, text).detail("place", count(place + 1)));
         }
         if self.queue.len() >= MOST {
-            let text = format!("{MOST} peers wait for it, as many as may");
+            let text = format!("{MOST} peers are waiting for it, the limit");
             return Err(WireError::new(Code::FULL, text));
         }
         self.queue.insert(self.place_for(waiter.level), waiter);
@@ -99,7 +99,7 @@ impl Token {
         queue.find(|(_, waiter)| !kept(waiter))
     }
 
-    /// Notes that somebody is being asked about a waiter, or not any more.
+    /// Notes that a peer is being asked about a waiter, or not any more.
     pub(crate) fn set_asking(&mut self, ticket: u64, asking: bool) {
         if let Some(waiter) = self.waiter_mut(ticket) {
             waiter.asking = asking;

@@ -147,7 +147,7 @@ pub(crate) struct QueuedGrab {
     pub(crate) until: Option<Micros>,
     /// Answers of chairs and managing peers to this grab.
     pub(crate) answers: Vec<Heard>,
-    /// Whether somebody is being asked about it, because its turn has come.
+    /// Whether a peer is being asked about it, because its turn has come.
     pub(crate) asking: bool,
     /// The place that it was told last.
     pub(crate) told: usize,

@@ -20,7 +20,7 @@ pub struct Stop {
     pub user: Arc<str>,
     /// When the hub took it.
     pub since: Time,
-    /// Why, in the words of whoever said it.
+    /// The reason, in the sender's words.
     pub reason: Option<Arc<str>>,
 }
 

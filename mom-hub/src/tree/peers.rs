@@ -213,7 +213,7 @@ impl Peers {
         names.any(|name| self.by_name.contains_key(name))
     }
 
-    /// Whether a user may have such a name. One that rests is free for the same user at once: whoever comes back is the
+    /// Whether a user may have such a name. One that rests is free for the same user at once: a peer that comes back is the
     /// same person.
     fn is_free(&self, folds: &[String], count: u32, user: &str) -> bool {
         let name = |fold: &String| self.by_fold.get(&numbered_name(fold, count));

@@ -268,11 +268,11 @@ impl World {
         })
     }
 
-    /// Checks that the owner has the token for good, and not for a while from somebody else.
+    /// Checks that the owner has the token for good, and not for a while from another peer.
     pub(crate) fn check_not_lent(&self, number: ContextNumber, what: &str) -> Result<(), WireError> {
         let owner = self.token(number).and_then(|token| token.owner.as_ref());
         if owner.is_some_and(|owner| owner.delegation.is_some()) {
-            let text = format!("what was given for a while cannot be {what}; release it, and it returns");
+            let text = format!("a token given for a limited time cannot be {what}; release it to return it");
             return Err(WireError::new(Code::DENIED, text).rule("delegation"));
         }
         Ok(())

@@ -12,11 +12,7 @@ use crate::{ContextSpec, Effect};
 pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let spec: ContextSpec = content::read(&request.parcel)?;
     if spec.path.is_some() {
-        return Err(content::bad(
-            "path",
-            "the path to be made stands in the slot context".to_owned(),
-        )
-        .into());
+        return Err(content::bad("path", "put the path to create in the slot context".to_owned()).into());
     }
     let above = world
         .tree

@@ -76,7 +76,7 @@ fn keep_out(world: &mut World, number: ContextNumber, peer: PeerId, time: Micros
         if context.expelled.len() >= MOST {
             return Err(WireError::new(
                 Code::FULL,
-                format!("{MOST} users are kept out, as many as may be"),
+                format!("{MOST} users are expelled, the limit"),
             ));
         }
         context.expelled.insert(user, until);
@@ -111,7 +111,7 @@ pub(crate) fn put_out(
         by: by.map(|by| world.name_of(by).into()),
         ..world.fact("expelled", peer)
     };
-    let why = text.unwrap_or("this peer was put out of the hub");
+    let why = text.unwrap_or("this peer was expelled from the hub");
     let mut told = world.tree.members_of(number);
     // Of many the others hear how many are left.
     if by.is_some_and(|by| world.count_expulsion(number, by).is_err()) {
@@ -150,7 +150,7 @@ pub(super) fn check_not_expelled(
     match until.filter(|until| world.now < **until) {
         None => Ok(()),
         Some(until) => {
-            let text = "this user was put out of it, and may come back later";
+            let text = "this user was expelled from it, and may return later";
             let wait = Duration::from_micros(until - world.now);
             Err(WireError::new(Code::DENIED, text)
                 .rule("expelled")
@@ -163,7 +163,7 @@ pub(super) fn check_not_expelled(
 pub(crate) fn kept_out(world: &World, user: &str) -> Option<WireError> {
     let root = world.tree.root()?;
     let until = root.expelled.get(user).filter(|until| world.now < **until)?;
-    let text = "this user was put out of the hub, and may come back later";
+    let text = "this user was expelled from the hub, and may return later";
     let wait = Duration::from_micros(until - world.now);
     Some(WireError::new(Code::REVOKED, text).retry_after(wait))
 }

@@ -113,12 +113,12 @@ fn about(world: &World, asks: PeerId, args: &Args) -> Result<Vec<About>, WireErr
         }
         (None, None, Some(users)) if users.len() > MOST => Err(content::bad(
             "users",
-            format!("{MOST} users at most are asked about at once"),
+            format!("at most {MOST} users can be asked about at once"),
         )),
         (None, None, Some(users)) => Ok(users.iter().map(|user| about_user(world, asks, user)).collect()),
         _ => Err(content::bad(
             "user",
-            "one of user, peer and users says whom it is about".to_owned(),
+            "give one of user, peer and users".to_owned(),
         )),
     }
 }

@@ -8,7 +8,7 @@ use crate::Effect;
 use crate::asking::refusal::Refusal;
 use crate::world::World;
 
-/// Holds a token together with others: as long as somebody does, nobody owns it.
+/// Holds a token together with others: as long as one peer does, nobody owns it.
 pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let number = world.find_token(request)?;
     world.check_near(request, number)?;

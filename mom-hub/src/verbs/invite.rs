@@ -48,9 +48,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
         not_again(now, known.saturating_sub(INVITED - AGAIN), &args.peer)?;
     }
     if context.invited.len() >= MOST {
-        return Err(
-            WireError::new(Code::FULL, format!("{MOST} invitations are open, as many as may")).into(),
-        );
+        return Err(WireError::new(Code::FULL, format!("{MOST} invitations are open, the limit")).into());
     }
     context.invited.insert(peer, until);
     world.tree.name_peer(peer, number);

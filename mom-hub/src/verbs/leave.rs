@@ -19,7 +19,7 @@ pub(crate) fn on(
 ) -> Result<(), Refusal> {
     let number = world.allowed(request)?;
     if request.path.is_root() {
-        let text = "every peer stays in the root; to go, log out";
+        let text = "a peer cannot leave the root; log out instead";
         return Err(WireError::new(Code::WRONG_KIND, text).slot("context").into());
     }
     if !world.tree.is_member(request.peer, number) {

@@ -10,7 +10,7 @@ use crate::world::{Timer, World};
 use crate::{Effect, PeerId};
 
 pub(crate) fn on(world: &mut World, questions: &mut Questions, request: &Request, out: &mut Vec<Effect>) {
-    // The departure first: whoever reads `ok` has left everything and owns nothing.
+    // The departure first: a peer that reads `ok` has left everything and owns nothing.
     let then = Then::LogOut(request.parcel.id);
     take_out(world, questions, request.peer, then, out);
 }

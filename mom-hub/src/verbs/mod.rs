@@ -146,7 +146,7 @@ fn read(world: &World, peer: PeerId, parcel: &Parcel) -> Result<(Verb, Path), Wi
         return Err(no_context(&path));
     }
     if world.is_leaving(peer, &path) {
-        let text = "this peer is on its way out of there; the answer tells when it is out";
+        let text = "this peer is already leaving that context; wait for the answer";
         return Err(WireError::new(Code::TRY_LATER, text).slot("context"));
     }
     Ok((verb, path))

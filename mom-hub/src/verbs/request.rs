@@ -43,11 +43,11 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     world.allow(request, number)?;
     let token = world.token(number);
     if token.is_some_and(|token| token.asks(request.peer)) {
-        let text = "this peer asks already; wait for the answer";
+        let text = "this peer already has a pending request; wait for the answer";
         return Err(WireError::new(Code::TRY_LATER, text).into());
     }
     if token.is_some_and(|token| token.asking.len() >= ASKING) {
-        let text = format!("{ASKING} peers ask already, as many as may");
+        let text = format!("{ASKING} peers already have pending requests, the limit");
         return Err(WireError::new(Code::FULL, text).into());
     }
     world.check_again(number, (Verb::Request, request.peer, owner))?;

@@ -11,7 +11,7 @@ use crate::{Effect, Inquiry};
 pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     world.allowed(request)?;
     if !request.path.is_root() {
-        let text = "a configuration is one of the whole hub: what-if is asked of /";
+        let text = "a configuration applies to the whole hub: send what-if to /";
         return Err(WireError::new(Code::BAD_SLOT, text).slot("context").into());
     }
     let inquiry = Inquiry::WhatIf {

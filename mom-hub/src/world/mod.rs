@@ -182,7 +182,7 @@ impl World {
         }
     }
 
-    /// Notes something that [`Hub::check`](crate::Hub::check) calls impossible, in words for whoever looks for the
+    /// Notes something that [`Hub::check`](crate::Hub::check) calls impossible, in words for those who look for the
     /// cause. A debug build stops here; a release goes on without what was missing and writes the words into the audit
     /// log.
     #[track_caller]
@@ -196,7 +196,7 @@ impl World {
     #[track_caller]
     pub(crate) fn faulted(&self, words: &'static str) -> WireError {
         self.fault::<()>(words);
-        WireError::new(Code::DENIED, "the hub has made a fault; its audit log says which").rule("fault")
+        WireError::new(Code::DENIED, "internal error in the hub; see its audit log").rule("fault")
     }
 
     /// Gives out the faults of one input.

@@ -227,7 +227,7 @@ impl Stops {
     }
 
     /// Forgets latches of channels that are no more, if there are too many of them: first those that hold nothing, then the oldest of
-    /// whoever has stopped most of them, so that nobody's stops push out another's.
+    /// the user who has stopped most of them, so that nobody's stops push out another's.
     pub(crate) fn bound(&mut self, contexts: usize, exists: impl Fn(&Path) -> bool) -> Vec<Path> {
         if self.known.len() <= contexts + ORPHANS {
             return Vec::new();
@@ -270,7 +270,7 @@ impl Stops {
         away.map(|(path, _)| path.clone()).collect()
     }
 
-    /// Whether somebody waits for the word of this channel's devices.
+    /// Whether a peer waits for the word of this channel's devices.
     pub(crate) fn is_awaited(&self, channel: ContextNumber) -> bool {
         let awaits = |call: &Call| call.channels.get(&channel).is_some_and(Called::awaits_devices);
         self.calls.values().any(awaits)

@@ -28,7 +28,7 @@ pub(crate) enum What {
     Owner,
     /// That stops of a channel, or of all below a session, are lifted.
     Unstop,
-    /// That somebody wants something of this peer: its token, that it takes one, that it comes.
+    /// A request to this peer: its token, that it takes one, that it comes.
     Wish,
 }
 
@@ -54,7 +54,8 @@ impl What {
         }
     }
 
-    /// How often one user may have it told where devices read so many bytes in a second: an eighth of that in the long run, half a second's at once.
+    /// How often one user may have it told where devices read so many bytes in a second: an eighth of that in the long
+    /// run, half a second's at once.
     fn terms(self, reads: Option<u32>) -> Terms {
         let usual = Terms {
             at_once: AT_ONCE,

@@ -53,7 +53,8 @@ fn a_slow_device_hears_less_often_of_who_takes_its_token() {
     }
 }
 
-/// Hundreds of one user that wait for a token, and are gone when they have it, are not granted it all in one moment: others have their turn.
+/// Hundreds of one user that wait for a token, and are gone when they have it, are not granted it all in one moment:
+/// others have their turn.
 #[test]
 fn who_had_it_too_often_waits_behind_others() {
     let mut stage = with_device(None);

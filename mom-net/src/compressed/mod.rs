@@ -11,5 +11,6 @@ mod unpacker;
 pub(crate) use packer::Packer;
 pub(crate) use unpacker::Unpacker;
 
-/// The bytes that one connection is charged: more than what zstd or zlib allocate for both directions, of which a quiet one touches some KiB.
+/// The bytes that one connection is charged: more than what zstd or zlib allocate for both directions, of which a quiet
+/// one touches some KiB.
 pub const COMPRESSION_MEMORY: usize = 1024 * 1024;

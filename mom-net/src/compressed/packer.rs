@@ -11,8 +11,8 @@ use zstd::stream::raw::{CParameter, Encoder, Operation as _};
 
 use crate::socket::WriteHalf;
 
-/// Taken from a writer in one turn, which takes about 0.1 ms: what has been taken cannot be overtaken, and whoever compresses more gives way
-/// to others first.
+/// Taken from a writer in one turn, which takes about 0.1 ms: what has been taken cannot be overtaken, and whoever
+/// compresses more gives way to others first.
 const TURN: usize = 16 * 1024;
 
 /// Made at once of what was taken.

@@ -121,7 +121,7 @@ impl Unpacker {
             Begins::Perhaps => return Ok(false),
             Begins::At(at) => at,
         };
-        // Blanks stay, as whoever reads them may have seen them already.
+        // Blanks stay, as their reader may have seen them already.
         let mut arrived = bytes.split_off(at);
         if self.form.is_binary() {
             arrived.advance(STREAM_MARK.len());
@@ -221,7 +221,7 @@ impl Unpacker {
                 let fault = match engine.step(&self.arrived, &mut opened[written..]) {
                     Ok(Step {
                         read: 0, written: 0, ..
-                    }) if !self.arrived.is_empty() => broken(way, &"nothing can be made of it"),
+                    }) if !self.arrived.is_empty() => broken(way, &"it is malformed"),
                     Err(error) => broken(way, &error),
                     Ok(step) => {
                         self.arrived.advance(step.read);

@@ -65,7 +65,7 @@ pub(crate) fn into_io(error: hyper::Error) -> io::Error {
     io::Error::new(kind, error)
 }
 
-/// Why an answer is not what a hub gives: its own words, or those of whoever else answers.
+/// Why an answer is not what a hub gives: its own words, or those of another server.
 pub(crate) fn refusal(status: StatusCode, said: &[u8]) -> io::Error {
     #[derive(Deserialize)]
     struct Refusal {

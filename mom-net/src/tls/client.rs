@@ -93,7 +93,7 @@ fn roots(trust: &Trust, named: &Path) -> Result<RootCertStore, TlsError> {
     }
 }
 
-/// Trusts one certificate. Its name and its dates do not matter: whoever named its fingerprint has looked at it.
+/// Trusts one certificate. Its name and its dates do not matter: the user who named its fingerprint has checked it.
 #[derive(Debug)]
 struct Pinned(Fingerprint, Signatures);
 

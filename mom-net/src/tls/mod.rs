@@ -241,7 +241,8 @@ impl TlsLink {
         Some(link)
     }
 
-    /// Decrypts nothing more: what still comes is thrown away, and a broken record is not worth an alert after the end of what this side says.
+    /// Decrypts nothing more: what still comes is thrown away, and a broken record is not worth an alert after the end
+    /// of what this side says.
     pub(crate) fn forget(&self) {
         self.state.lock().forgets = true;
     }

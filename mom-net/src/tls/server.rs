@@ -95,7 +95,8 @@ impl SelfSigned {
     /// # Errors
     /// Files that cannot be written, or one without the other, which is not overwritten.
     pub fn make(&self, hosts: Vec<String>) -> Result<(), TlsError> {
-        let missing = "it is not there, but its other half is: put it back, or remove both to have new ones";
+        let missing =
+            "it is missing, but its counterpart exists: restore it, or remove both to generate new ones";
         match (self.certificate.exists(), self.key.exists()) {
             (true, true) => return Ok(()),
             (false, false) => {}

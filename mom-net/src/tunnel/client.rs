@@ -29,7 +29,7 @@ const MOST_BEFORE_LOGIN: usize = 16 * 1024;
 /// An answer that the hub lets last takes so much longer at most.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Bytes that were sent and are not here after so long are held back by somebody who waits for the answer's end.
+/// Bytes that were sent and are not here after so long are held back by an intermediary that buffers the whole answer.
 const HELD_BACK: Duration = Duration::from_secs(1);
 
 /// Requests that fail are made again after these times; then the tunnel is broken.
@@ -227,7 +227,7 @@ impl Tunnel {
         }
     }
 
-    /// Brings down what the hub says, as a stream or, where somebody between holds that back, by asking again and again.
+    /// Brings down what the hub says, as a stream or, where an intermediary holds that back, by asking again and again.
     async fn bring_down(&self, mut requests: Requests, mut streams: bool) {
         let mut failures = AGAIN.iter();
         loop {
@@ -249,7 +249,7 @@ impl Tunnel {
             match read {
                 Ok(Ok(Read::Some)) => failures = AGAIN.iter(),
                 Ok(Ok(Read::HeldBack)) => {
-                    tracing::debug!("the tunnel polls: somebody between holds the stream back");
+                    tracing::debug!("the tunnel polls: an intermediary buffers the stream");
                     (streams, requests.sender) = (false, None);
                 }
                 Ok(Ok(Read::End)) => return self.pipe.took_all(),
@@ -338,7 +338,7 @@ fn is_gateway(status: StatusCode) -> bool {
 fn why<T>(failed: Result<io::Result<T>, tokio::time::error::Elapsed>) -> String {
     match failed {
         Ok(Err(error)) => format!("the tunnel broke off: {error}"),
-        Ok(Ok(_)) => "the tunnel broke off: a proxy does not get through".to_owned(),
+        Ok(Ok(_)) => "the tunnel broke off: a proxy cannot reach the hub".to_owned(),
         Err(_) => "the tunnel broke off: no answer came".to_owned(),
     }
 }
@@ -371,7 +371,7 @@ impl Requests {
         carrier.prepare()?;
         let stream = HttpStream::new(carrier, BytesMut::new());
         let (sender, connection) = http1::handshake(stream).await.map_err(http_door::into_io)?;
-        // Ends with the sender; what goes wrong is told to whoever has asked.
+        // Ends with the sender; errors are told to the caller.
         tokio::spawn(async move { drop(connection.await) });
         self.sender = Some(sender);
         Ok(())

@@ -1,6 +1,6 @@
 //! The two streams of bytes of a tunnel, at one of its ends.
 //!
-//! Requests of HTTP are lost, repeated and cut off, so each stream is counted: whoever sends says where in the stream its
+//! Requests of HTTP are lost, repeated and cut off, so each stream is counted: the sender says where in the stream its
 //! bytes begin, and keeps them until the other end has said that it has them.
 
 use std::io::{self, ErrorKind, IoSlice};

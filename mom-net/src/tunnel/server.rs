@@ -55,7 +55,7 @@ pub struct Tunnel {
 /// proof of who it is, gets it again.
 #[derive(Debug)]
 struct LoginPost {
-    /// The id before. None: the new one was used, or somebody else has come with the old one.
+    /// The id before. None: the new one was used, or another client has come with the old one.
     id: Option<SecretId>,
     at: u64,
     digest: [u8; 32],
@@ -137,7 +137,7 @@ impl Tunnels {
         }
     }
 
-    /// Gives a tunnel whose peer has logged in another id: whoever has seen the first one has nothing by it.
+    /// Gives a tunnel whose peer has logged in another id: the first one is useless to others who have seen it.
     fn renew(&self, tunnel: &Arc<Tunnel>, at: u64, body: &[u8]) -> Option<SecretId> {
         let mut renewed = tunnel.renewed.lock();
         if renewed.is_some() || !tunnel.pipe.is_trusted() {
@@ -160,8 +160,8 @@ impl Tunnels {
         self.former.lock().get(&id.parse().ok()?).cloned()
     }
 
-    /// Answers the request that has brought a login once more: where its answer was lost, nobody knows the new id. None for any other request;
-    /// whoever brings other bytes ends that.
+    /// Answers the request that has brought a login once more: where its answer was lost, nobody knows the new id. None
+    /// for any other request; a request with other bytes ends that.
     pub async fn answer_again<B>(
         &self,
         tunnel: &Tunnel,
@@ -205,7 +205,7 @@ impl Tunnels {
         let Some(said) = Said::read(request.uri().query().unwrap_or_default()) else {
             return refusal(
                 StatusCode::BAD_REQUEST,
-                "a tunnel is asked with at=, ack=, wait= and end=, and numbers",
+                "the query of a tunnel is at=, ack=, wait= and end=, with numbers",
             );
         };
         if let Some(ack) = said.ack
@@ -227,13 +227,13 @@ impl Tunnels {
                 match body.await {
                     Ok(Ok(body)) => self.up(tunnel, &said, &body.to_bytes()).await,
                     Ok(Err(error)) if error.is::<http_body_util::LengthLimitError>() => too_large(),
-                    Ok(Err(_)) => refusal(StatusCode::BAD_REQUEST, "the body is cut short"),
-                    Err(_) => refusal(StatusCode::REQUEST_TIMEOUT, "the body does not come"),
+                    Ok(Err(_)) => refusal(StatusCode::BAD_REQUEST, "the body ended early"),
+                    Err(_) => refusal(StatusCode::REQUEST_TIMEOUT, "the body did not arrive in time"),
                 }
             }
             Method::GET => tunnel.answer_down(&said).await,
             _ => {
-                let mut answer = refusal(StatusCode::METHOD_NOT_ALLOWED, "a tunnel takes GET and POST");
+                let mut answer = refusal(StatusCode::METHOD_NOT_ALLOWED, "a tunnel accepts GET and POST");
                 answer
                     .headers_mut()
                     .insert(ALLOW, http::HeaderValue::from_static("GET, POST"));
@@ -431,7 +431,7 @@ fn count(status: StatusCode, counts: &[(http::HeaderName, u64)]) -> Response<Tun
 }
 
 fn too_large() -> Response<TunnelBody> {
-    let text = "a request brings at most 128 KiB up, and before login one parcel";
+    let text = "a request may carry at most 128 KiB, and before login one parcel";
     refusal(StatusCode::PAYLOAD_TOO_LARGE, text)
 }
 

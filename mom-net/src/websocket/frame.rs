@@ -289,15 +289,17 @@ impl Incoming {
             size => u64::from(size),
         };
         if size > i64::MAX as u64 {
-            return Err(fault("no frame is so large"));
+            return Err(fault("the frame is too large"));
         }
         match kind {
             CLOSE | PING | PONG if size > CONTROL || !last => {
-                return Err(fault("a control frame is whole and has at most 125 bytes"));
+                return Err(fault(
+                    "a control frame must not be fragmented or exceed 125 bytes",
+                ));
             }
             CLOSE | PING | PONG => {}
-            CONTINUATION if !self.in_message => return Err(fault("nothing is to be continued")),
-            TEXT | BINARY if self.in_message => return Err(fault("the message before has no end")),
+            CONTINUATION if !self.in_message => return Err(fault("there is no message to continue")),
+            TEXT | BINARY if self.in_message => return Err(fault("the previous message is not complete")),
             TEXT if !rules.text => return Err(of_kind("mom.bin.v1 takes binary messages")),
             BINARY if rules.text && !self.takes_binary => {
                 return Err(of_kind("mom.json.v1 takes text messages"));
@@ -380,7 +382,7 @@ fn check_close(payload: &[u8]) -> Result<(), Fault> {
         [_] => return Err(fault("a status has two bytes")),
     };
     if !matches!(status, 1000..=1003 | 1007..=1014 | 3000..=4999) {
-        return Err(fault("no close frame has this status"));
+        return Err(fault("this status is not allowed in a close frame"));
     }
     std::str::from_utf8(words).map(drop).map_err(|_| NO_TEXT)
 }

@@ -155,7 +155,7 @@ impl WebSocket {
         } else if state.incoming.closed {
             state.finish(frame::NORMAL, self.rules);
             if state.incoming.left && !self.rules.client {
-                // Told behind what was read before it: whoever has said so is not waited for.
+                // Told behind what was read before it; its sender is not waited for.
                 state.fault.get_or_insert(frame::LEFT);
                 state.send(&self.carrier)?;
                 return Ok(true);

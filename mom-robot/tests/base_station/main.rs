@@ -233,7 +233,7 @@ async fn with_a_fault_in_a_file_or_a_statement_nothing_is_started() {
     let stderr = text(&output.stderr);
     let file = folder.path().join("fleet.toml");
     let (file, port) = (file.display(), robot.port);
-    let fault = format!("line 6, column 11: 127.0.0.1:{port} is the address of unit 1 already");
+    let fault = format!("line 6, column 11: 127.0.0.1:{port} is already the address of unit 1");
     assert_eq!(stderr, format!("mom-base-station: {file}: {fault}\n"));
     robot.ask("mute");
     assert_eq!(robot.line().await, "did mute", "nobody has connected before");
@@ -275,7 +275,7 @@ async fn robots_are_added_changed_and_removed_in_the_file() {
     for (args, said) in [
         (
             &["add", "9", "10.0.0.9:4000"][..],
-            "nothing is changed: line 13, column 8: unit 9 is in line 9 already",
+            "nothing was changed: line 13, column 8: unit 9 is already in line 9",
         ),
         (&["add", "100000", "10.0.0.9:4000"], "a unit number is 1 to 99999"),
         (&["add", "10", "10.0.0.9"], "the port is missing"),

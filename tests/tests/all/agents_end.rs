@@ -1,4 +1,5 @@
-//! The end of agents' work: with its time, its scope and who lent the token; and what becomes of a device, or an agent, that does not answer.
+//! The end of agents' work: with its time, its scope and who lent the token; and what becomes of a device, or an agent,
+//! that does not answer.
 
 use std::future::pending;
 use std::time::Duration;

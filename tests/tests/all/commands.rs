@@ -349,7 +349,7 @@ async fn a_chair_answers_the_hub_s_questions() {
     let moderated = Map::new().with("kind", "moderated").with("chairs", chairs);
     let desk = Desk::start(moderated).await;
     let alone = desk.run_as("bob", &["grab", TOKEN], "").await;
-    check(&alone, 1, &["there is nobody to ask"]);
+    check(&alone, 1, &["there is no peer to ask"]);
     let mut events = desk.carol.token(TOKEN).await.expect("joined before").events();
     let manage = desk.run_as("alice", &["manage", TOKEN], "n not now\ny\n");
     let asks = async {

@@ -1,4 +1,5 @@
-//! `mom jog`, `mom run --show rapid` and `mom trace` in the lab: the hand moves for as long as it is told, no faster than it can, and not out of its workspace.
+//! `mom jog`, `mom run --show rapid` and `mom trace` in the lab: the hand moves for as long as it is told, no faster
+//! than it can, and not out of its workspace.
 
 use std::io::Write as _;
 use std::process::{Command, Output, Stdio};
@@ -237,8 +238,8 @@ async fn the_arm_does_not_begin_what_is_older_than_it_allows() {
     assert_eq!(error(&refused), Some("too-old".into()), "{refused:?}");
 }
 
-/// The link between the arm's program and its controller fails in the middle of a move, and again later (M53): the command ends with that error, and the next one
-/// is carried out when the link is back.
+/// The link between the arm's program and its controller fails in the middle of a move, and again later (M53): the
+/// command ends with that error, and the next one is carried out when the link is back.
 #[tokio::test]
 async fn the_link_to_the_controller_fails_and_recovers() {
     let lab = RealArm::start(&["--link-fault", "5s/5s"]).await;

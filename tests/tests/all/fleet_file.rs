@@ -329,8 +329,8 @@ async fn what_would_be_wrong_changes_nothing(lab: &FleetLab, carol: &mut Operato
     assert_eq!(lab.file(), before);
 }
 
-/// An operator adds, changes and removes robots at the hub (W12, W14): the gateway keeps the file, with its comments, drives what it says, and
-/// answers each mistake with the field at fault.
+/// An operator adds, changes and removes robots at the hub (W12, W14): the gateway keeps the file, with its comments,
+/// drives what it says, and answers each mistake with the field at fault.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_operator_edits_the_fleet_at_the_hub() {
     let lab = FleetLab::start();

@@ -147,7 +147,7 @@ async fn who_is_not_listed_is_refused() {
             let stream = connect_from(from, pages[0]).await;
             let (status, body) = answered(stream, "GET", path);
             assert_eq!(status, expected, "{from} {path}");
-            let refused = text(&body).starts_with("127.0.0.2 may neither drive");
+            let refused = text(&body).starts_with("127.0.0.2 is not allowed to drive");
             assert_eq!(refused, expected == 403, "{from} {path}");
         }
     }

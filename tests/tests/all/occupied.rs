@@ -66,10 +66,7 @@ async fn a_second_arm_is_refused_and_a_second_start_takes_the_firsts_place() {
     );
     assert!(!second.status.success());
     let said = text(&second.stderr);
-    assert!(
-        said.contains("arm obeys the commands in /robot/arm already"),
-        "{said}"
-    );
+    assert!(said.contains("arm is already the device in /robot/arm"), "{said}");
     assert_eq!(devices(&carol).await, [arms.as_str()]);
 
     // The same program, started once more while the first runs.

@@ -221,7 +221,7 @@ async fn a_proxy_that_lets_nothing_through_is_named() {
         (squid.url(), "403"),
         (tinyproxy.url(), "403"),
         (NOWHERE.to_owned(), "refused"),
-        ("socks5://127.0.0.1:1080".to_owned(), "none that speaks HTTP"),
+        ("socks5://127.0.0.1:1080".to_owned(), "not an HTTP proxy"),
     ] {
         for scheme in ["bins", "wss", "https"] {
             let hub = scene.hub(scheme);

@@ -89,11 +89,11 @@ async fn the_path_of_an_address_is_the_place() {
 fn a_wrong_address_is_a_wrong_address() {
     for (hub, why) in [
         ("bin://nohost name:1", "\"nohost name\" is not a name of a host"),
-        ("ftp://lab:7666", "no hub is spoken to by ftp://"),
+        ("ftp://lab:7666", "ftp:// is not a scheme of a hub"),
         ("lab:7666", "does not begin with bin:// or tcp://"),
         ("bin://lab:", "its port is missing"),
         ("bin://lab:99999", "a port is a number from 0 to 65535"),
-        ("bin://lab:7666/a//b", "its path is none"),
+        ("bin://lab:7666/a//b", "its path is invalid"),
     ] {
         for (program, args) in [
             ("mom", &["tree", "--hub", hub][..]),

@@ -5,8 +5,8 @@ use mom_tests::lab;
 
 use crate::tunnel::{ByHand, chat};
 
-/// The answer to a login has the new id. Where it is lost, it is given again to who brings the same bytes, with the same proof, and to nobody
-/// else: other bytes, or the use of the new id, end that.
+/// The answer to a login has the new id. Where it is lost, it is given again to who brings the same bytes, with the
+/// same proof, and to nobody else: other bytes, or the use of the new id, end that.
 #[tokio::test]
 async fn the_lost_answer_to_a_login_is_given_again_to_who_has_logged_in() {
     let broker = lab::start().await;

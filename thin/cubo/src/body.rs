@@ -35,7 +35,7 @@ const MUSIC: f64 = 62.0;
 /// Blobs that wait to be sent, of which the oldest is dropped.
 const WAITING: usize = 2;
 
-/// What somebody does to the robot.
+/// What a person does to the robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Touch {
     /// Presses the button that chooses a service.

@@ -1,6 +1,7 @@
 //! CUBO, the robot of the third paper (S25): thin, so that it plans nothing by itself (S1), and mirrored over RSP.
 //!
-//! [`model`] is generated from `config/cubo.toml`; with the feature `opus` its loudspeaker takes Opus instead of samples. [`Cubo`] is its body, here a simulated one; [`serve`] connects both to a socket.
+//! [`model`] is generated from `config/cubo.toml`; with the feature `opus` its loudspeaker takes Opus instead of
+//! samples. [`Cubo`] is its body, here a simulated one; [`serve`] connects both to a socket.
 
 mod body;
 mod page;

@@ -33,7 +33,7 @@ const PAGE: &str = "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\
 
 type Answer = Response<Full<Bytes>>;
 
-/// Serves the page until it is dropped, to whoever can reach it: `/`, and `/status.json`. An error of the listener ends nothing.
+/// Serves the page until it is dropped, to all who can reach it: `/`, and `/status.json`. An error of the listener ends nothing.
 pub async fn serve_page(listener: TcpListener, robot: CuboHandle) {
     let places = Arc::new(Semaphore::new(MOST));
     let mut connections = JoinSet::new();
@@ -42,7 +42,7 @@ pub async fn serve_page(listener: TcpListener, robot: CuboHandle) {
             accepted = listener.accept() => match accepted {
                 Ok((stream, _)) => stream,
                 Err(error) => {
-                    tracing::debug!(%error, "a connection to the page was not taken");
+                    tracing::debug!(%error, "a connection to the page could not be accepted");
                     sleep(PAUSE).await;
                     continue;
                 }
@@ -51,7 +51,7 @@ pub async fn serve_page(listener: TcpListener, robot: CuboHandle) {
         };
         match Arc::clone(&places).try_acquire_owned() {
             Ok(place) => drop(connections.spawn(connect(stream, robot.clone(), place))),
-            Err(_) => tracing::debug!("closed: too many look at the page"),
+            Err(_) => tracing::debug!("closed: too many clients read the page"),
         }
     }
 }
@@ -76,7 +76,7 @@ fn answer(robot: &CuboHandle, method: &Method, path: &str) -> Answer {
     if ![Method::GET, Method::HEAD].contains(method) {
         let mut refused = words(
             StatusCode::METHOD_NOT_ALLOWED,
-            "a robot only shows itself: GET and HEAD\n",
+            "this page is read-only: it accepts GET and HEAD\n",
         );
         let allowed = HeaderValue::from_static("GET, HEAD");
         refused.headers_mut().insert(ALLOW, allowed);

@@ -48,8 +48,8 @@ struct CuboArgs {
     /// ms without a packet after which it rests
     #[arg(long, value_name = "MS", default_value = "500", value_parser = clap::value_parser!(u16).range(50..=10_000))]
     watchdog: u16,
-    /// Where it serves its own page (HTTP), to whoever can reach it: what its body looks like, also as /status.json; port 0 takes a free one,
-    /// which is said
+    /// Address of its own page (HTTP), open to all who can reach it: the state of its body, also as /status.json;
+    /// port 0 takes a free one, which is said
     #[arg(long, value_name = "ADDRESS:PORT")]
     web: Option<SocketAddr>,
     /// Where it begins on its floor of 5 m by 5 m: mm, mm, degrees
@@ -121,7 +121,7 @@ pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
         None => None,
     };
     let page = page.map(|page| tokio::spawn(serve_page(page, robot.clone())));
-    tracing::info!("the robot waits for its middle");
+    tracing::info!("the robot waits for its controller");
     let served = serve(socket, robot, &mut shutdown).await;
     if let Some(page) = page {
         page.abort();

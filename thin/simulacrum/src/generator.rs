@@ -1,4 +1,4 @@
-//! Code of a model for whoever asks in a robot's mirror channel, such as the console's modeller, which runs in a browser (S4).
+//! Code of a model for peers that ask in a robot's mirror channel, such as the console's modeller, which runs in a browser (S4).
 
 use mom_client::{Family, Map, Parcel, Value};
 use mom_rsp_model::{Model, generate};

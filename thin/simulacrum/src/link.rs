@@ -203,7 +203,7 @@ impl Simulacrum {
         ticket
     }
 
-    /// Works on the middle itself; whoever sends by it is to call [`Simulacrum::hurry`].
+    /// Works on the middle itself; a caller that sends by it must call [`Simulacrum::hurry`].
     pub fn with<T>(&self, what: impl FnOnce(&mut Middle<'static>) -> T) -> T {
         what(&mut self.0.middle.lock())
     }

@@ -241,7 +241,7 @@ impl Robot {
         let mut outlet = Outlet::new(sender(&self.client));
         let trouble = self.robot.trouble();
         let session = trouble.as_deref().unwrap_or("up");
-        tracing::info!(robot = self.robot.name(), channel = %self.channel.path(), mirror = %self.mirror.path(), session, "a robot has its place at the hub");
+        tracing::info!(robot = self.robot.name(), channel = %self.channel.path(), mirror = %self.mirror.path(), session, "a robot has joined the hub");
         // Its session may be older than its place at the hub.
         if self.robot.is_up() {
             self.hear(&Notice::Up);

@@ -43,7 +43,8 @@ struct SimulacrumArgs {
     /// A file with the key that these robots share with this program
     #[arg(long, value_name = "FILE")]
     robot_key: Option<PathBuf>,
-    /// Time between two packets, ms; that of the model without it. Of two, 20-40, the middle chooses by the loss and the delay that it measures
+    /// Time between two packets, ms; that of the model without it. Of two, 20-40, the middle chooses by the loss and
+    /// the delay that it measures
     #[arg(long, value_name = "MS[-MS]", value_parser = periods)]
     period: Option<RangeInclusive<u16>>,
     /// ms without a packet after which a robot is lost
@@ -118,7 +119,7 @@ pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
     };
     let ended = tokio::select! {
         ended = crate::run(client, lines, options, shutdown) => ended,
-        // Without its socket a robot is out of reach, and whoever starts programs may start this one anew.
+        // Without its socket a robot is out of reach, and the supervisor may restart this program.
         Some(link) = links.join_next() => {
             link?.context("a robot's socket failed")?;
             anyhow::bail!("a robot's link has ended");
@@ -158,7 +159,7 @@ async fn robots(args: &SimulacrumArgs) -> anyhow::Result<(Vec<RobotLine>, Vec<Ud
         socket
             .connect(address)
             .await
-            .with_context(|| format!("there is no way to {address}"))?;
+            .with_context(|| format!("no route to {address}"))?;
         sockets.push(socket);
         let robot = Simulacrum::new(path, model.clone(), settings.clone())?;
         if let Some(range) = args.period.clone().filter(|range| range.start() < range.end()) {

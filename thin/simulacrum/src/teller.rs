@@ -89,8 +89,8 @@ impl Teller {
         parcel
     }
 
-    /// `{place, kind, wanted?, value?, unit?, activated, active, linked, events?, error?}`: what is wanted beside what is confirmed or heard, in the
-    /// units of the model, and µs by which the robot's clock may be wrong.
+    /// `{place, kind, wanted?, value?, unit?, activated, active, linked, events?, error?}`: what is wanted beside what
+    /// is confirmed or heard, in the units of the model, and µs by which the robot's clock may be wrong.
     fn content(&self, robot: &Simulacrum, place: u8, element: &ModelElement, up: bool) -> (Map, Age) {
         let mut map = Map::new()
             .with("place", i64::from(place))
@@ -130,10 +130,11 @@ impl Teller {
         (map, known)
     }
 
-    /// `{linked, period, confirmed, heard?, loss, round-trip?, offset?, error?, sent, received, down-rate, up-rate, down, up, down-map, up-map,
-    /// free-buffers, accepted, dropped}`: ms, whether the robot has confirmed that, µs since it was heard, the share of its packets that is lost,
-    /// µs (three times), packets (twice), bytes/s with UDP and IP (twice), the first bytes of the newest packets in hexadecimal (twice), the bits
-    /// of device maps that were 1 since this was told last, as they were before they were sealed (twice), and how many datagrams were taken and
+    /// `{linked, period, confirmed, heard?, loss, round-trip?, offset?, error?, sent, received, down-rate, up-rate,
+    /// down, up, down-map, up-map, free-buffers, accepted, dropped}`: ms, whether the robot has confirmed that, µs
+    /// since it was heard, the share of its packets that is lost, µs (three times), packets (twice), bytes/s with UDP
+    /// and IP (twice), the first bytes of the newest packets in hexadecimal (twice), the bits of device maps that were
+    /// 1 since this was told last, as they were before they were sealed (twice), and how many datagrams were taken and
     /// dropped, by reason.
     fn packet(&mut self, robot: &Simulacrum, now: Instant) -> Parcel {
         let traffic = robot.take_traffic();

@@ -240,7 +240,7 @@ impl Mirror {
         if let Err(error) = taken
             && error != Refused::Inactive
         {
-            tracing::error!(robot = self.robot.name(), element = element.name, %error, "a safe value was not taken");
+            tracing::error!(robot = self.robot.name(), element = element.name, %error, "a safe value was rejected");
         }
     }
 
@@ -284,7 +284,7 @@ impl Mirror {
     }
 
     fn refused(&self, refused: Refused) -> DeviceError {
-        let text = format!("{} does not take it: {refused}", self.robot.name());
+        let text = format!("{} rejected it: {refused}", self.robot.name());
         DeviceError::new(ErrorName::Link, text)
     }
 

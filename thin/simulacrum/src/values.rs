@@ -19,7 +19,7 @@ pub enum ValueFault {
         parts: String,
     },
     /// A value out of its range.
-    #[error("{part} of {element} is {value}, and has to be {min} to {max} {unit}")]
+    #[error("{part} of {element} is {value}; it must be {min} to {max} {unit}")]
     Range {
         /// The element.
         element: String,

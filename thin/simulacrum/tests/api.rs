@@ -202,11 +202,8 @@ async fn who_comes_later_is_told_why_there_is_no_session() {
             refuses,
             "no session: the robot has another model, which differs in left-wheel".to_owned(),
         ),
-        (closed, format!("no session: nobody listens at {closed}")),
-        (
-            hears,
-            format!("no session: nothing that counts comes from {hears}"),
-        ),
+        (closed, format!("no session: nothing listens at {closed}")),
+        (hears, format!("no session: no valid datagram comes from {hears}")),
     ] {
         let model = mom_cubo::MODEL.replacen("range = [-500, 500]", "range = [-400, 400]", 1);
         let model = Model::read(&model).expect("a model");

@@ -48,7 +48,7 @@ pub enum SoundError {
     #[error("this program was built without Opus: build it with --features opus")]
     NoOpus,
     /// The codec does not take it.
-    #[error("Opus does not take it: {0}")]
+    #[error("Opus cannot encode it: {0}")]
     Opus(String),
 }
 

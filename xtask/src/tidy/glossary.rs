@@ -1,7 +1,7 @@
 //! A reserved word of the glossary is the name of one thing: a type of that name may be defined only in the folders that
 //! its row names, and once in each. A second meaning under the same name misleads every reader who knows the first.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use anyhow::Result;
 
@@ -23,6 +23,8 @@ struct Row<'a> {
     name: String,
     /// Where a type of that name may be defined; empty = nowhere.
     folders: Vec<&'a str>,
+    /// Whether the word may not be a part of a type's name either.
+    in_compounds: bool,
 }
 
 /// A type that has the name of a reserved word.
@@ -46,6 +48,14 @@ pub(crate) fn check(tree: &Tree, report: &mut Report<'_>) -> Result<()> {
             report(GLOSSARY, row.line, text);
         }
         row.check(&defined.remove(&row.name).unwrap_or_default(), report);
+    }
+    // Left are the compounds.
+    for (name, definitions) in &defined {
+        for Definition { path, line } in definitions {
+            let text =
+                format!("`{name}` contains a word that is not used: {GLOSSARY} says what to say instead");
+            report(path, *line, text);
+        }
     }
     Ok(())
 }
@@ -112,6 +122,7 @@ fn rows(document: &str) -> Vec<Row<'_>> {
             found.push(Row {
                 line: number + 1,
                 name: type_name(word),
+                in_compounds: last.contains("compounds"),
                 folders: last
                     .split('`')
                     .skip(1)
@@ -135,9 +146,29 @@ fn type_name(word: &str) -> String {
     word.split([' ', '-']).filter_map(capital).collect()
 }
 
+/// The words of a name: `ParcelRun` as `Parcel` and `Run`.
+fn parts(name: &str) -> Vec<&str> {
+    let starts = name
+        .char_indices()
+        .filter(|(at, next)| *at == 0 || next.is_uppercase())
+        .map(|(at, _)| at);
+    let starts: Vec<usize> = starts.collect();
+    let ends = starts.iter().skip(1).copied().chain([name.len()]);
+    starts
+        .iter()
+        .zip(ends)
+        .map(|(start, end)| &name[*start..end])
+        .collect()
+}
+
 /// Where the shipped code defines types that have the names of `rows`.
 fn definitions(tree: &Tree, rows: &[Row<'_>]) -> BTreeMap<String, Vec<Definition>> {
-    let names: BTreeSet<&str> = rows.iter().map(|row| row.name.as_str()).collect();
+    let is_reserved = |name: &str| {
+        let row = rows
+            .iter()
+            .find(|row| row.name == name || row.in_compounds && parts(name).contains(&row.name.as_str()));
+        row.is_some()
+    };
     let mut found: BTreeMap<String, Vec<Definition>> = BTreeMap::new();
     let packages = packages(tree).into_iter();
     let top = |package: &str| package.split('/').next().unwrap_or_default().to_owned();
@@ -146,7 +177,7 @@ fn definitions(tree: &Tree, rows: &[Row<'_>]) -> BTreeMap<String, Vec<Definition
             let Some(text) = tree.rust_text(&path).filter(|_| how == Use::Shipped) else {
                 continue;
             };
-            for (at, name) in types(text, &names) {
+            for (at, name) in types(text, &is_reserved) {
                 found.entry(name.to_owned()).or_default().push(Definition {
                     path: path.clone(),
                     line: line_at(&text.code, at),
@@ -157,13 +188,13 @@ fn definitions(tree: &Tree, rows: &[Row<'_>]) -> BTreeMap<String, Vec<Definition
     found
 }
 
-/// The types with one of these names that a source defines outside of its tests.
-fn types<'a>(text: &'a RustText, names: &BTreeSet<&str>) -> Vec<(usize, &'a str)> {
+/// The types with a reserved name that a source defines outside of its tests.
+fn types<'a>(text: &'a RustText, is_reserved: &dyn Fn(&str) -> bool) -> Vec<(usize, &'a str)> {
     let code = text.code.as_str();
     let mut found = Vec::new();
     let mut words = words(code).peekable();
     while let Some((at, keyword)) = words.next() {
-        let Some(&(_, name)) = words.peek().filter(|(_, name)| names.contains(name)) else {
+        let Some(&(_, name)) = words.peek().filter(|(_, name)| is_reserved(name)) else {
             continue;
         };
         let defines = match keyword {
@@ -191,7 +222,8 @@ mod tests {
     const TABLE: &str = "# Words\n\n| word | meaning | types |\n|---|---|---|\n\
         | token | What one peer owns. | `hub/src`, `cli/src` |\n\
         | parcel run | Messages. | `hub/src` |\n\
-        | fence | A number. | none |\n";
+        | fence | A number. | none |\n\
+        | gatherer | batch | none, nor in compounds |\n";
 
     fn faults(hub: &str, cli: &str) -> Vec<String> {
         let files = [
@@ -235,6 +267,17 @@ mod tests {
             faults("type Fence = u64;", ""),
             [
                 "hub/src/lib.rs:1: `Fence` is the name of no type: docs/glossary.md says what the word means, or what to say instead"
+            ]
+        );
+    }
+
+    #[test]
+    fn a_word_that_is_not_used_is_found_in_compounds() {
+        let hub = "struct BatchGatherer; struct Gatherers; struct FenceGuard;";
+        assert_eq!(
+            faults(hub, ""),
+            [
+                "hub/src/lib.rs:1: `BatchGatherer` contains a word that is not used: docs/glossary.md says what to say instead"
             ]
         );
     }

@@ -3,6 +3,7 @@
 mod circles;
 mod citations;
 mod codes;
+mod columns;
 mod dependencies;
 mod glossary;
 mod imports;
@@ -64,6 +65,7 @@ const CHECKS: &[(&str, Check)] = &[
     ("word", glossary::check),
     ("name", names::check),
     ("turn", turns::check),
+    ("columns", columns::check),
 ];
 
 /// Runs all checks on the checkout at `root` and prints the findings; whether there were none.

@@ -147,9 +147,9 @@ def _split(text: str, authority: str) -> Tuple[str, Optional[int]]:
         host, colon, rest = authority.partition(":")
         port = rest if colon else None
         if ":" in rest:
-            raise AddressError(text, "an IPv6 address stands in brackets, as [::1]")
+            raise AddressError(text, "write an IPv6 address in brackets, as [::1]")
         if not host:
-            raise AddressError(text, "it names no host")
+            raise AddressError(text, "it has no host")
         if not _HOST.match(host):
             raise AddressError(text, f"{host!r} is not a name of a host")
     if port is None:

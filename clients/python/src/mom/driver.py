@@ -348,7 +348,7 @@ class Driver:
         content = reply.map()
         if content.get("resumed") is not True or not self.core.resume(content):
             # The two sides count differently: something would come twice, or never.
-            self.core.lose_all("the hub has read other parcels than those that were sent")
+            self.core.lose_all("the hub has read parcels that differ from those sent")
             raise ConnectionDownError("the hub resumed a link by counts that cannot be")
         self.welcomed(reply)
         dropped = content.get("dropped")

@@ -36,7 +36,7 @@ const SILENT_PERIODS: i64 = 3;
 /// A robot is left that has answered so many more times than it was asked.
 const MOST_UNASKED: u32 = 64;
 
-/// So many replies are waited for at most; whoever answers nothing may not say all that at once later.
+/// So many replies are waited for at most; a silent robot must not send all of them at once later.
 const MOST_OWED: u32 = 256;
 
 /// A robot is left of which there was more to be read than is read, for so long.
@@ -76,7 +76,7 @@ pub enum Output {
     Abort,
     /// Write these bytes, and say [`Input::Blocked`] if that cannot be done at once.
     Write(Encoded),
-    /// Tell whoever looks on.
+    /// Tell the observers.
     Note(Note),
 }
 

@@ -8,8 +8,8 @@ use super::{MOST_UNANSWERED, MOST_WAITING};
 /// What a connection is, seen from the base station (W11).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum State {
-    /// Nobody asked for a connection, or as many attempts as [`Options::attempts`](super::Options::attempts) allows have failed. There is none, and
-    /// none is attempted.
+    /// Nobody asked for a connection, or as many attempts as [`Options::attempts`](super::Options::attempts) allows
+    /// have failed. There is none, and none is attempted.
     Disconnected,
     /// A connection is wanted and there is none: one is being made, or the next attempt waits for its time.
     Trying,
@@ -75,8 +75,8 @@ impl fmt::Display for End {
             End::Closed => f.write_str("the robot closed the connection"),
             End::Broken(text) => write!(f, "the connection broke: {text}"),
             End::Silent => f.write_str("the robot is silent"),
-            End::Astray => f.write_str("what the robot sends is not understood"),
-            End::Flooding => f.write_str("the robot sends more than it is asked for"),
+            End::Astray => f.write_str("the robot sent an invalid frame"),
+            End::Flooding => f.write_str("the robot sent more than was requested"),
             End::Unwanted => f.write_str("disconnected on request"),
         }
     }
@@ -91,7 +91,7 @@ pub enum Refusal {
     #[error("it is {0}, so it takes no commands")]
     NotWritable(State),
     /// As many frames wait as may wait.
-    #[error("{MOST_WAITING} commands wait for it already")]
+    #[error("{MOST_WAITING} commands are already queued for it")]
     Full,
     /// Too many NULLs have no reply yet.
     #[error("{MOST_UNANSWERED} NULLs have no reply yet")]

@@ -167,7 +167,8 @@ pub(super) struct SendArgs {
     /// So many times in all; without it until Ctrl-C
     #[arg(long, value_name = "N", requires = "repeat", value_parser = clap::value_parser!(u64).range(1..))]
     pub(super) times: Option<u64>,
-    /// Stay so long afterwards before the robots are stopped; without it, until Ctrl-C where a statement that is sent once has set one in motion
+    /// Stay so long afterwards before the robots are stopped; without it, until Ctrl-C where a statement that is sent
+    /// once has set one in motion
     #[arg(long, value_name = "TIME", value_parser = time)]
     pub(super) stay: Option<Duration>,
 }

@@ -119,7 +119,7 @@ fn change(path: &Path, edit: &Edit, done: &str) -> Result<()> {
     })?;
     writeln!(
         stdout(),
-        "{done} in {}; a mom-gateway that runs takes it over at SIGHUP, a mom-base-station when it is started again",
+        "{done} in {}; a running mom-gateway reloads it at SIGHUP, a mom-base-station when it is restarted",
         path.display()
     )?;
     Ok(())
@@ -127,7 +127,7 @@ fn change(path: &Path, edit: &Edit, done: &str) -> Result<()> {
 
 /// The robots that a script speaks to: the others are left alone.
 fn part(fleet: &Fleet, units: &[Unit]) -> Result<Fleet> {
-    fleet.only(units).context("there is no command for any robot")
+    fleet.only(units).context("no robot is given a command")
 }
 
 fn read(path: &Path) -> Result<String> {
@@ -141,7 +141,7 @@ async fn finish(station: &Station) -> Result<()> {
     if !left.is_empty() {
         let units: Vec<String> = left.iter().map(Unit::to_string).collect();
         bail!(
-            "these units were set in motion and could not be stopped: {}",
+            "these units were started and could not be stopped: {}",
             units.join(", ")
         );
     }

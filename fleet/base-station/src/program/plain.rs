@@ -1,4 +1,4 @@
-//! Lines, for whoever has no terminal to draw on, and the commands that end by themselves.
+//! Plain lines, for output that is not a terminal, and the commands that end by themselves.
 
 use std::cell::{Cell, RefCell};
 use std::collections::HashMap;
@@ -145,7 +145,9 @@ impl ToCome {
                 // It is to come itself.
                 self.unwritten
                     .set((self.unwritten.get() + 1).saturating_sub(dropped as u64));
-                warn(format!("{frame} overrides what waited: {dropped} not sent"));
+                warn(format!(
+                    "{frame} overrides the queued commands: {dropped} not sent"
+                ));
             }
         }
     }

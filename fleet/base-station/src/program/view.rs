@@ -208,7 +208,7 @@ impl View {
         if self.typing {
             text.push_span(Span::from("█"));
         }
-        // Of a long line its end is where somebody types.
+        // A long line shows its end, where the user types.
         let width = usize::from(line.width.saturating_sub(2));
         let hidden = text.width().saturating_sub(width);
         let text: String = text.to_string().chars().skip(hidden).collect();

@@ -93,7 +93,7 @@ struct Reader<'a> {
 
 pub(super) fn steps(text: &str, known: &[Unit], table: &'static Table) -> Result<Vec<Step>, Found> {
     if text.len() > MOST_BYTES {
-        let text = format!("{} bytes are too many: there may be {MOST_BYTES}", text.len());
+        let text = format!("{} bytes exceed the limit of {MOST_BYTES}", text.len());
         return found(ScriptFault::TooLong, 0, text);
     }
     let said = |command: &&Command| !command.is_reply_only();
@@ -181,7 +181,7 @@ impl<'a> Reader<'a> {
         let what = format!("how often, 1 to {MOST_STEPS},");
         let count = whole(words, &what, 1, MOST_STEPS)?;
         if self.open.len() > DEEPEST {
-            let text = format!("there may be {DEEPEST} repetitions in one another");
+            let text = format!("`repeat` may be nested at most {DEEPEST} deep");
             return found(ScriptFault::Nesting, at, text);
         }
         self.steps.push(Step::Repeat { count });
@@ -201,7 +201,7 @@ impl<'a> Reader<'a> {
             _ => self.open.pop(),
         };
         let Some(closed) = closed else {
-            return found(ScriptFault::Nesting, at, "there is no `repeat` that ends here");
+            return found(ScriptFault::Nesting, at, "`end` without `repeat`");
         };
         let steps = closed.steps.saturating_mul(closed.count);
         let count = i64::try_from(closed.count).unwrap_or(i64::MAX);
@@ -259,7 +259,7 @@ impl<'a> Reader<'a> {
     fn command(&self, word: Word<'_>) -> Result<&'static Command, Found> {
         let command = self.any_command(word)?;
         if command.is_reply_only() {
-            let text = format!("`{}` is said by robots only", command.name);
+            let text = format!("`{}` is sent by robots only", command.name);
             return found(ScriptFault::NoCommand, word.at, text);
         }
         Ok(command)
@@ -351,7 +351,7 @@ impl<'a> Reader<'a> {
             open.steps = open.steps.saturating_add(steps);
             open.micros = open.micros.saturating_add(micros);
             if open.steps > MOST_STEPS {
-                let text = format!("up to here there are more than {MOST_STEPS} steps, repetitions counted");
+                let text = format!("the script has more than {MOST_STEPS} steps here, counting repetitions");
                 return found(ScriptFault::TooLong, at, text);
             }
             if open.micros > LONGEST {
@@ -384,7 +384,7 @@ fn frame(command: &'static Command, at: usize, words: &mut Words<'_>) -> Result<
     Frame::new(command, &values).or_else(|fault| found(ScriptFault::NoCommand, at, fault.to_string()))
 }
 
-/// A value that the parameter can have. The wire would clamp it; here somebody can still mend it.
+/// A value that the parameter can have. The wire would clamp it; here the author can still correct it.
 fn read_value(parameter: &Parameter, words: &mut Words<'_>) -> Result<i32, Found> {
     let Parameter { name, min, max } = parameter;
     let word = words.required(&format!("the value of `{name}`, {min} to {max},"))?;

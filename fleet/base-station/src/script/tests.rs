@@ -206,7 +206,7 @@ fn unknown_words_name_the_nearest() {
         (
             "1 holder",
             NoCommand,
-            "line 1, column 3: `holder` is said by robots only",
+            "line 1, column 3: `holder` is sent by robots only",
         ),
     ]);
 }
@@ -292,20 +292,16 @@ fn what_has_no_end_or_is_too_long_is_refused() {
             Nesting,
             "line 1, column 1: this `repeat` has no `end`",
         ),
-        (
-            "wait 1; end",
-            Nesting,
-            "line 1, column 9: there is no `repeat` that ends here",
-        ),
+        ("wait 1; end", Nesting, "line 1, column 9: `end` without `repeat`"),
         (
             &"repeat 1;".repeat(9),
             Nesting,
-            "line 1, column 73: there may be 8 repetitions in one another",
+            "line 1, column 73: `repeat` may be nested at most 8 deep",
         ),
         (
             "repeat 1000; repeat 1000; 1 null; end; end",
             TooLong,
-            "line 1, column 1: up to here there are more than 1000000 steps, repetitions counted",
+            "line 1, column 1: the script has more than 1000000 steps here, counting repetitions",
         ),
         (
             "repeat 25; wait 3600000; end",
@@ -315,7 +311,7 @@ fn what_has_no_end_or_is_too_long_is_refused() {
         (
             &" ".repeat(MOST_BYTES + 1),
             TooLong,
-            "line 1, column 1: 1048577 bytes are too many: there may be 1048576",
+            "line 1, column 1: 1048577 bytes exceed the limit of 1048576",
         ),
     ]);
 }

@@ -1,7 +1,7 @@
 //! The robot's own web server, beside its control (W21): a page, its state as JSON, and what it sees (W22).
 //!
-//! It cannot slow the control: it asks for a [`Glance`](crate::Glance) at most twenty times a second, draws on tokio's blocking threads at most five
-//! times a second, and has few connections, each for one short request.
+//! It cannot slow the control: it asks for a [`Glance`](crate::Glance) at most twenty times a second, draws on tokio's
+//! blocking threads at most five times a second, and has few connections, each for one short request.
 
 #[cfg(test)]
 mod tests;
@@ -72,7 +72,7 @@ pub async fn serve_page(listener: TcpListener, page: Page) {
             accepted = listener.accept() => match accepted {
                 Ok(accepted) => accepted,
                 Err(error) => {
-                    tracing::debug!(%error, "a connection to the page was not taken");
+                    tracing::debug!(%error, "a connection to the page could not be accepted");
                     sleep(PAUSE).await;
                     continue;
                 }
@@ -87,7 +87,7 @@ pub async fn serve_page(listener: TcpListener, page: Page) {
                 let page = admitted.then(|| Arc::clone(&page));
                 connections.spawn(connect(stream, from, page, place));
             }
-            Err(_) => tracing::debug!(%from, "closed: too many look at the page"),
+            Err(_) => tracing::debug!(%from, "closed: too many clients read the page"),
         }
     }
 }
@@ -150,8 +150,7 @@ impl Page {
         if headers.contains_key(AUTHORIZATION) {
             sleep(PAUSE).await;
         }
-        let text =
-            "this robot shows itself to who logs in; its file of mom-linuxbot --web-login says as whom\n";
+        let text = "this page requires a login; the file given to mom-linuxbot --web-login has the user and password\n";
         let mut answer = words(StatusCode::UNAUTHORIZED, text);
         let realm = format!("Basic realm=\"robot {}\", charset=\"UTF-8\"", self.unit);
         if let Ok(realm) = HeaderValue::try_from(realm) {
@@ -169,7 +168,7 @@ impl Page {
             );
         }
         if ![Method::GET, Method::HEAD].contains(method) {
-            let text = "a robot only shows itself: GET and HEAD\n";
+            let text = "this page is read-only: it accepts GET and HEAD\n";
             let mut answer = words(StatusCode::METHOD_NOT_ALLOWED, text);
             answer
                 .headers_mut()
@@ -203,7 +202,7 @@ impl Page {
 fn refused(from: SocketAddr) -> Answer {
     let from = from.ip().to_canonical();
     let text =
-        format!("{from} may neither drive this robot nor look at it; mom-linuxbot --allow lists who may\n");
+        format!("{from} is not allowed to drive this robot or read its page; see mom-linuxbot --allow\n");
     words(StatusCode::FORBIDDEN, text)
 }
 

@@ -124,7 +124,7 @@ async fn who_has_not_logged_in_is_shown_nothing() {
                     && head.contains("www-authenticate: Basic realm=\"robot 7\"")
             );
             assert!(
-                body.starts_with("this robot shows itself to who logs in"),
+                body.starts_with("this page requires a login"),
                 "{path} {header}: {body}"
             );
         }
@@ -233,7 +233,7 @@ async fn those_who_may_not_drive_may_not_look() {
         let (head, body) = ask(served.page, request).await;
         assert!(head.starts_with("HTTP/1.1 403 Forbidden\r\n"), "{head}");
         let said = String::from_utf8_lossy(&body);
-        assert!(said.starts_with("127.0.0.1 may neither drive"), "{said}");
+        assert!(said.starts_with("127.0.0.1 is not allowed to drive"), "{said}");
     }
 }
 

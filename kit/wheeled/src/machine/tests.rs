@@ -254,7 +254,7 @@ fn nothing_comes_after_follow() {
         .expect_err("it never ends");
     assert_eq!(
         error.text(),
-        "statement 1: nothing comes after `follow` in a script, as it goes on until another command comes"
+        "statement 1: `follow` must be the last command of a script: it runs until the next command"
     );
 }
 

@@ -321,7 +321,7 @@ impl ModelServer {
             None => None,
         };
         if name.is_some_and(|name| name.len() > LONGEST_NAME) {
-            let text = format!("a name of more than {LONGEST_NAME} bytes is not an object's");
+            let text = format!("an object's name must not exceed {LONGEST_NAME} bytes");
             return Err(bad(&text).slot("content/name"));
         }
         let oldest = match query.get("max-age") {

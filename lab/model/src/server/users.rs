@@ -48,7 +48,7 @@ impl ModelServer {
         if self.foreign.keep(parcel) {
             return true;
         }
-        let text = format!("{MOST_WAITING} writes wait already; write again in a moment");
+        let text = format!("{MOST_WAITING} writes are already queued; retry later");
         let error = WireError::new(Code::TRY_LATER, text);
         out.push(self.answer(parcel, Err(error), WRITE_REFUSED));
         true

@@ -205,10 +205,10 @@ impl Job<'_> {
         loop {
             let objects = match self.model.all().await {
                 Ok((objects, _)) => objects,
-                Err(failure) => return format!("where {} is, nobody says: {failure}", self.what),
+                Err(failure) => return format!("the position of {} is unknown: {failure}", self.what),
             };
             let Some(object) = objects.get(self.what) else {
-                return format!("where {} is, nobody knows", self.what);
+                return format!("the position of {} is unknown", self.what);
             };
             if is_settled(object.seen, failed) || Instant::now() > until {
                 return lies_at(object, self.model.now());

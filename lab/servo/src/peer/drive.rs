@@ -354,8 +354,9 @@ fn reason(why: &str) -> Option<String> {
         .then(|| word.to_owned())
 }
 
-/// When the hand was as an image shows it that was taken then, from the state of that time; `stated` is the time of the robot's newest state. A
-/// robot that rests tells nothing new; where it has told more since, the image is as old as the state that it shows.
+/// When the hand was as an image shows it that was taken then, from the state of that time; `stated` is the time of the
+/// robot's newest state. A robot that rests tells nothing new; where it has told more since, the image is as old as the
+/// state that it shows.
 fn shown(taken: Micros, shows: Micros, stated: Micros) -> Micros {
     match taken - shows > RESTS && stated <= shows + SAME {
         true => taken,

@@ -129,7 +129,7 @@ async fn ended(job: &mut Option<Job>) {
     match job {
         Some(job) => {
             if let Err(error) = (&mut job.work).await {
-                tracing::error!(%error, "the work broke down");
+                tracing::error!(%error, "the task failed with an internal error");
             }
         }
         None => pending().await,

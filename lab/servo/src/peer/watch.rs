@@ -83,7 +83,7 @@ pub(super) async fn watch(
                 .content(Value::from(Map::new()))
                 .no_echo();
             if let Err(error) = request.send().await {
-                tracing::debug!(%error, "an image was not asked for");
+                tracing::debug!(%error, "an image could not be requested");
             }
         }
         let Ok(image) = timeout(ASK, newest(&mut events)).await else {
@@ -106,7 +106,7 @@ pub(super) async fn watch(
                 }
             }
             Ok(Err(why)) => tracing::warn!(camera, why, "an image cannot be used"),
-            Err(error) => tracing::error!(%error, "looking at an image broke down"),
+            Err(error) => tracing::error!(%error, "processing an image failed with an internal error"),
         }
         sleep_until(begin + PERIOD).await;
     }

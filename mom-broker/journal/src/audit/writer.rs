@@ -165,7 +165,7 @@ impl<S: LineSink> AuditWriter<S> {
         self.shared.lost.fetch_add(unwritten, Ordering::Relaxed);
         match result {
             Err(error) => self.failure = Some(error),
-            Ok(()) if lost > 0 => tracing::error!(lost, "the audit log has lost facts"),
+            Ok(()) if lost > 0 => tracing::error!(lost, "the audit log has lost entries"),
             Ok(()) => {}
         }
     }

@@ -269,7 +269,7 @@ impl fmt::Display for Outcome {
             Outcome::Inhibited { context, peer } => write!(formatter, "{peer} inhibits {context}"),
             Outcome::Uninhibited { context, peer } => write!(formatter, "{peer} ends inhibiting {context}"),
             Outcome::Expelled { context, peer } => write!(formatter, "{peer} is expelled from {context}"),
-            Outcome::Asked { context, .. } => write!(formatter, "somebody is asked about {context}"),
+            Outcome::Asked { context, .. } => write!(formatter, "a peer is asked about {context}"),
             Outcome::Stored { context, .. } => write!(formatter, "{context} is stored"),
             Outcome::Closed { code, .. } => write!(formatter, "closed {code}"),
         }

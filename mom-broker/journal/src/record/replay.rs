@@ -275,7 +275,7 @@ impl Replay {
 
     fn parcel(&mut self, told: &RequestTold) -> Result<Parcel, String> {
         let family = Family::from_word(&told.family);
-        let family = family.ok_or_else(|| format!("there is no family {:?}", told.family))?;
+        let family = family.ok_or_else(|| format!("unknown family {:?}", told.family))?;
         let mut parcel = Parcel::new(family, told.name.as_str());
         parcel.context = told.context.as_deref().map(path).transpose()?;
         // It named no context then, so it must not name one now.

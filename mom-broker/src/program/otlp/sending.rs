@@ -55,7 +55,7 @@ impl Sending {
         }
         let lost = self.lost.swap(0, Ordering::Relaxed);
         if lost > 0 {
-            tracing::warn!(lost, "OTLP: the collector has not taken these spans");
+            tracing::warn!(lost, "OTLP: the collector rejected these spans");
         }
     }
 
@@ -90,7 +90,7 @@ impl Sending {
                 let error = self.server.take_error().unwrap_or(error);
                 if !self.failing {
                     tracing::warn!(
-                        "OTLP: the collector takes no spans: {error}; they are lost until it does; \
+                        "OTLP: the collector does not accept spans: {error}; they are lost until it does; \
                          OTEL_EXPORTER_OTLP_ENDPOINT says where it is"
                     );
                 }
@@ -104,10 +104,7 @@ impl Sending {
                     0
                 };
                 if lost > 0 {
-                    tracing::warn!(
-                        lost,
-                        "OTLP: the collector takes spans, but these were lost before"
-                    );
+                    tracing::warn!(lost, "OTLP: the collector accepts spans again; these were lost");
                     self.told = Some(Instant::now());
                 }
                 self.failing = false;

@@ -44,7 +44,7 @@ pub(crate) struct LoginFacts {
 
 /// One peer that has logged in, at one moment.
 #[derive(Clone, Debug)]
-pub(crate) struct PeerFigures {
+pub(crate) struct PeerStatistics {
     pub(crate) name: Arc<str>,
     account: Arc<Account>,
     /// None inside this process.
@@ -64,7 +64,7 @@ pub(crate) struct PeerFigures {
     pub(crate) dropped: u64,
 }
 
-impl PeerFigures {
+impl PeerStatistics {
     pub(crate) fn user(&self) -> &str {
         self.account.user()
     }
@@ -122,7 +122,7 @@ impl Outbox {
     }
 
     /// What is known of its peer, none before login.
-    pub(crate) fn figures(&self) -> Option<PeerFigures> {
+    pub(crate) fn figures(&self) -> Option<PeerStatistics> {
         let (name, account, login) = {
             let who = self.who.lock();
             let login = **who.login.as_ref()?;
@@ -134,7 +134,7 @@ impl Outbox {
         };
         let round_trip = self.heard.round_trip.load(Ordering::Relaxed);
         let at = self.heard.at.load(Ordering::Relaxed);
-        Some(PeerFigures {
+        Some(PeerStatistics {
             name,
             account,
             form: self.form(),

@@ -230,7 +230,7 @@ mod tests {
         let outbox = Arc::new(Outbox::new(PeerId(1), Clock::system(), here.writer, 1 << 20));
         let writing = Arc::clone(&outbox);
         tokio::spawn(async move { writing.run().await });
-        // Its writer waits for somebody to wake it.
+        // Its writer waits to be woken.
         tokio::task::yield_now().await;
         let way = outbox.way();
         let (_, first) = outbox.push(Arc::new(packet()));

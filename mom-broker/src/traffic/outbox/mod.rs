@@ -20,7 +20,7 @@ use mom_net::{Flow, Ledger, NetError, Pause, Piece, Rest, Taken, Writer, write_b
 use mom_proto::codec::Form;
 use mom_proto::{ContextNumber, Limits, Micros, WireError};
 
-pub(crate) use figures::{Heard, LoginFacts, PeerFigures};
+pub(crate) use figures::{Heard, LoginFacts, PeerStatistics};
 pub(crate) use link::Paths;
 pub(crate) use packet::{Charged, Dropped, Gate, Origin, Packet};
 pub(crate) use queue::PeerQueue;
@@ -43,7 +43,7 @@ pub(crate) struct Outbox {
     queue: Mutex<PeerQueue>,
     /// The wire form, as its place in [`FORMS`].
     form: AtomicU8,
-    /// Held by whoever writes.
+    /// Held by the writing thread.
     way: Mutex<Way>,
     /// Something waits that nobody has tried to write yet.
     touched: AtomicBool,
@@ -134,8 +134,8 @@ pub(crate) struct Closing {
     pub(crate) error: Option<WireError>,
 }
 
-/// The way to the link while somebody has it who does not write. Others that come to write meanwhile leave it to whoever has it: what they would
-/// have written is seen to when it is let go.
+/// The way to the link while somebody has it who does not write. Others that come to write meanwhile leave it to
+/// whoever has it: what they would have written is seen to when it is let go.
 struct HeldWay<'a> {
     // Let go before the other is dropped.
     way: MutexGuard<'a, Way>,
@@ -215,7 +215,8 @@ impl Outbox {
         (taken, first)
     }
 
-    /// As [`Outbox::push`], for what the hub tells a device of others: before commands as long as it is little, and else `behind` all messages.
+    /// As [`Outbox::push`], for what the hub tells a device of others: before commands as long as it is little, and
+    /// else `behind` all messages.
     pub(crate) fn push_news(&self, packet: Arc<Packet>, behind: &Arc<Packet>) -> (Taken, bool) {
         let mut queue = self.queue.lock();
         if self.closed.load(Ordering::Acquire) {
@@ -476,7 +477,7 @@ impl Outbox {
         }
     }
 
-    /// Waits for whoever is writing now, who never waits for the link: when this says done, all is written.
+    /// Waits for the thread that is writing now, which never waits for the link: when this says done, all is written.
     fn flush_after_others(&self) -> Result<Flushed, NetError> {
         loop {
             if let Some(flushed) = self.flush_once(self.way.lock())? {

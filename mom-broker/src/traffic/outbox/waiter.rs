@@ -101,7 +101,7 @@ impl Outbox {
         }
     }
 
-    /// Whether somebody waits for capacity here, or has waited in vain.
+    /// Whether a sender waits for capacity here, or has waited in vain.
     #[cfg(all(test, feature = "shuttle"))]
     pub(crate) fn is_awaited(&self) -> bool {
         self.queue.lock().is_awaited()

@@ -11,8 +11,8 @@ use super::{Switchboard, Touched};
 use crate::traffic::channel::{HUB_PEER, stamped};
 use crate::traffic::outbox::{Dropped, Outbox};
 
-/// Receivers of whom a sender hears one by one; of more, devices alone. It hears that before all data, and nobody has it hear of nothing else by many
-/// peers that read nothing, or are gone for a while.
+/// Receivers of whom a sender hears one by one; of more, devices alone. It hears that before all data, and nobody has
+/// it hear of nothing else by many peers that read nothing, or are gone for a while.
 const RECEIVERS: usize = 8;
 
 /// What one receiver did not get, as its sender is told.
@@ -93,7 +93,8 @@ impl Switchboard {
         }
     }
 
-    /// Tells a device that it did not hear of others in a context so many times. Where it does not get that either, it is told so the next time.
+    /// Tells a device that it did not hear of others in a context so many times. Where it does not get that either, it
+    /// is told so the next time.
     fn tell_of_events(&self, outbox: &Outbox, (context, count): (ContextNumber, u64), touched: &mut Touched) {
         // It may have been deleted since.
         let path = self.hub.lock().path(context).cloned().unwrap_or_else(Path::root);

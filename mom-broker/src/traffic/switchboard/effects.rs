@@ -14,7 +14,7 @@ use crate::traffic::switchboard::statistics::MOST_PEERS;
 use crate::traffic::switchboard::{Switchboard, Touched};
 
 /// Decisions on their way out of the hub's lock: they are carried out in the order in which they were made, and
-/// whoever waits for the hub does not wait for that.
+/// a thread that waits for the hub does not wait for that.
 #[derive(Debug)]
 pub(super) struct Decisions {
     /// The effects of decisions that nobody has begun to carry out, and how many decisions there were.
@@ -154,7 +154,7 @@ impl Switchboard {
         }
     }
 
-    /// Leaves a question to whoever reads the files; says so if that takes no more of them.
+    /// Leaves a question to the thread that reads the files; says so if that takes no more of them.
     fn inquire(&self, to: PeerId, reply: &Arc<Parcel>, inquiry: Inquiry, touched: &mut Touched) {
         let inquired = Inquired {
             to,
@@ -167,7 +167,7 @@ impl Switchboard {
     }
 
     /// Gives an event to its receivers. Who comes and goes is written a moment later, together with what others
-    /// cause, where many are told: whoever joins does not make a system call for each of them.
+    /// cause, where many are told: a peer that joins does not make a system call for each of them.
     fn spread(&self, to: &[PeerId], parcel: &Arc<Parcel>, touched: &mut Touched) {
         let presence = [event::JOINED, event::LEFT, event::CREATED, event::DELETED];
         if to.len() < batch::RECEIVERS || !presence.contains(&parcel.name()) {

@@ -148,7 +148,7 @@ impl Switchboard {
             let encodings = Encodings::new(parcel, std::iter::once(outbox.form())).ok()?;
             Some(control(Family::Error, encodings, origin, None))
         });
-        // Whoever goes by its own wish, or because the broker stops, gets all that waits; whoever is put out does not.
+        // A peer that leaves, or is closed because the broker stops, gets all that waits; an expelled one does not.
         let drain = error.as_ref().is_none_or(|error| error.code == Code::SHUTDOWN);
         outbox.close(error, farewell, drain);
     }
@@ -374,7 +374,7 @@ impl Switchboard {
             touched.push(Arc::clone(outbox));
         }
         if taken == Taken::Overflow {
-            let text = "replies and events that waited for this peer reached its limit";
+            let text = "the replies and events queued for this peer reached its limit";
             self.close(outbox, Some(WireError::new(Code::SLOW_RECEIVER, text)));
         }
     }

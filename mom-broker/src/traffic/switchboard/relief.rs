@@ -44,13 +44,12 @@ impl Switchboard {
         tracing::warn!(
             user = account.user(),
             bytes = account.held(),
-            "put out: no memory for what waits of this user"
+            "disconnected: no memory left for this user's queued messages"
         );
         let outboxes: Vec<Arc<Outbox>> = self.outboxes.iter().map(|outbox| Arc::clone(&outbox)).collect();
         for outbox in &outboxes {
             if outbox.account().is_some_and(|other| Arc::ptr_eq(&other, account)) {
-                let text =
-                    "what waited of this user was more than of any other, and the hub had no memory for it";
+                let text = "the hub's memory was exhausted, and this user's queued messages took more of it than any other's";
                 self.close(outbox, Some(WireError::new(Code::OUT_OF_MEMORY, text)));
             }
             outbox.drop_for_memory(|packet| packet.is_of(account));

@@ -193,8 +193,7 @@ impl Switchboard {
 
     fn close_stalled(&self, outbox: &Outbox, path: &Path) {
         tracing::info!(peer = outbox.peer.0, context = %path, "stalled receiver closed");
-        let text =
-            "what waited for this peer filled its share, and it made no room for those who waited to send";
+        let text = "this peer's outbox was full, and it did not read fast enough for waiting senders";
         self.close(outbox, Some(WireError::new(Code::SLOW_RECEIVER, text)));
     }
 

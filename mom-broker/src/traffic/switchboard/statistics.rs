@@ -6,7 +6,7 @@ use mom_hub::PeerId;
 use mom_proto::{ContextNumber, Map, Parcel, Path, Value};
 
 use crate::traffic::channel::{MemberSnapshot, Snapshot};
-use crate::traffic::outbox::{Outbox, PeerFigures};
+use crate::traffic::outbox::{Outbox, PeerStatistics};
 use crate::traffic::switchboard::{Switchboard, Touched};
 
 /// Peers of which one reply tells at most.
@@ -14,7 +14,7 @@ pub(super) const MOST_PEERS: usize = 256;
 
 impl Switchboard {
     /// The first peers that have logged in, in the order of their arrival, and how many more there are.
-    pub(crate) fn peers(&self, most: usize) -> (Vec<PeerFigures>, usize) {
+    pub(crate) fn peers(&self, most: usize) -> (Vec<PeerStatistics>, usize) {
         let mut outboxes: Vec<Arc<Outbox>> = self.outboxes.iter().map(|outbox| Arc::clone(&outbox)).collect();
         outboxes.sort_unstable_by_key(|outbox| outbox.peer);
         let mut outboxes = outboxes.into_iter().filter(|outbox| outbox.is_logged_in());

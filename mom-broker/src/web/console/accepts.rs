@@ -16,7 +16,7 @@ pub(super) fn takes_gzip(headers: &HeaderMap) -> bool {
     named.unwrap_or(any)
 }
 
-/// Whether a page is asked for, as browsers do: whoever takes anything (`*/*`) is a program, and gets text.
+/// Whether a page is asked for, as browsers do: a client that accepts anything (`*/*`) is a program, and gets text.
 pub(super) fn takes_html(headers: &HeaderMap) -> bool {
     weighted(headers, ACCEPT).any(|(media, taken)| taken && media.eq_ignore_ascii_case("text/html"))
 }

@@ -24,7 +24,7 @@ fn holder(user: &str) -> Holder {
     }
 }
 
-/// A record of a token that somebody owns.
+/// A record of an owned token.
 fn owned(token: &str, fence: u64) -> Record {
     Record {
         path: path(token),

@@ -96,7 +96,7 @@ fn a_file_that_is_gone_or_damaged_is_not_one_that_never_was() {
     fs::write(folder.path().join("stops-2.json"), "mom-stops-1 00000000\n[]").expect("written");
     let damaged = open(folder.path());
     let reason = damaged.unread.expect("another one's may say anything");
-    assert!(reason.contains("stops-2.json: its sum is wrong"), "{reason}");
+    assert!(reason.contains("stops-2.json: its checksum is wrong"), "{reason}");
     assert_eq!(
         words_of(&damaged.records),
         ["/arm 5!"],

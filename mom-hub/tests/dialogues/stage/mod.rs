@@ -167,8 +167,8 @@ impl Stage {
         self.peers[name]
     }
 
-    /// A peer says a line: family, name, path, and `key=value` of its content, or `@fence=…`, `@stop=…`, `@to=…` of the parcel; `number=…` is the key
-    /// `stop` with an epoch.
+    /// A peer says a line: family, name, path, and `key=value` of its content, or `@fence=…`, `@stop=…`, `@to=…` of the
+    /// parcel; `number=…` is the key `stop` with an epoch.
     pub(crate) fn say(&mut self, name: &str, line: &str) -> Vec<String> {
         let input = self.request(name, line);
         self.give(input)

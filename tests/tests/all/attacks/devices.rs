@@ -112,7 +112,8 @@ async fn is_refused(sender: &mut Raw, note: Parcel) -> bool {
     }
 }
 
-/// A robot that reads too slowly for what somebody sends stays, and hears its owner; who sends hears that it does not get it, and others do.
+/// A robot that reads too slowly for what somebody sends stays, and hears its owner; who sends hears that it does not
+/// get it, and others do.
 #[tokio::test]
 async fn a_device_is_not_put_out_by_who_owns_nothing() {
     let (broker, address) = start(1).await;

@@ -1,4 +1,5 @@
-//! All attacks on one program, one after the other: its memory stays within its bound at every moment, and when all have gone nothing is left.
+//! All attacks on one program, one after the other: its memory stays within its bound at every moment, and when all
+//! have gone nothing is left.
 
 use std::fs;
 use std::net::SocketAddr;

@@ -1,4 +1,5 @@
-//! The motion oracle: devices of lab, fleet and CUBO in worlds that freeze, cut, slow, stop, kill and hand over, by seeds, and what their bodies do.
+//! The motion oracle: devices of lab, fleet and CUBO in worlds that freeze, cut, slow, stop, kill and hand over, by
+//! seeds, and what their bodies do.
 //!
 //! `MOM_ORACLE_TRIALS` says how many trials there are of each device, `MOM_ORACLE_SEED` which is the first (or the only one, with
 //! `MOM_ORACLE_TRIALS=1`), `MOM_ORACLE_DEVICE` which device alone.

@@ -1,7 +1,8 @@
 //! The oracle: what a body may not do, as a function of what was seen.
 //!
-//! Times of words are those of their arrival in the test, so what a word promises held no later than that; times of bodies are those of their traces.
-//! So each bound is counted from a time at or after the one that it is about, and a body that is late by a bound is late indeed.
+//! Times of words are those of their arrival in the test, so what a word promises held no later than that; times of
+//! bodies are those of their traces. So each bound is counted from a time at or after the one that it is about, and a
+//! body that is late by a bound is late indeed.
 
 use std::fmt;
 
@@ -14,7 +15,8 @@ pub(super) const GONE: Micros = 1_500_000;
 pub(super) const ROUND_TRIP: Micros = 300_000;
 /// What a busy machine may add to any time, beside what it adds to this process.
 const SLACK: Micros = 150_000;
-/// It has stayed within its tolerance for so long before a new owner's first motion: 300 ms, of which the 30 may be missing in which that is seen.
+/// It has stayed within its tolerance for so long before a new owner's first motion: 300 ms, of which the 30 may be
+/// missing in which that is seen.
 const RESTS: Micros = 270_000;
 /// Trials in which this process itself stood still for longer are not judged.
 pub(super) const MOST_PAUSE: Micros = 400_000;

@@ -139,8 +139,8 @@ impl Kind {
         }
     }
 
-    /// A script by which it moves this way after so many ms, for so many ms twice where a statement says how long it takes. Also how long its last
-    /// statement takes.
+    /// A script by which it moves this way after so many ms, for so many ms twice where a statement says how long it
+    /// takes. Also how long its last statement takes.
     pub(super) fn script(self, ways: f64, pause: u64, lasts: u64) -> (String, Option<Micros>) {
         let sign = if ways < 0.0 { "-" } else { "" };
         let timed = i64::try_from(lasts).map(|ms| ms * 1000).ok();

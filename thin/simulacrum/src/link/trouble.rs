@@ -56,11 +56,11 @@ impl Simulacrum {
             (None, false) => String::new(),
             (None, true) if way.closed => {
                 format!(
-                    ": nobody listens at {address}; is that the robot's address, and does its program run?"
+                    ": nothing listens at {address}; check the robot's address, and that its program runs"
                 )
             }
             (None, true) => format!(
-                ": nothing that counts comes from {address}; is that the robot's address, does its program run, and has it the same key?"
+                ": no valid datagram comes from {address}; check the robot's address, that its program runs, and that it has the same key"
             ),
         };
         Some(format!("no session{why}"))

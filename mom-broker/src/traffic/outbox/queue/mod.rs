@@ -126,7 +126,8 @@ impl PeerQueue {
         taken
     }
 
-    /// Drops what must not wait for a peer that has lost its connection: it would move a device when that comes back, long after it was said.
+    /// Drops what must not wait for a peer that has lost its connection: it would move a device when that comes back,
+    /// long after it was said.
     fn is_too_late(&mut self, packet: &Arc<Packet>) -> bool {
         let late = self.lost && !packet.outlives_loss;
         if late {

@@ -1,8 +1,8 @@
 //! What of a device's queue others than the owner of its token may fill: it is not closed because of what somebody sends to it.
 //!
 //! What needs no token may fill three quarters of the bound, and what one user says of it a quarter. More is refused, to its sender: the
-//! rest is for the owner's commands. What the hub tells it of others goes before commands up to an eighth of what it reads, and behind all messages
-//! beyond that, as far as there is room.
+//! rest is for the owner's commands. What the hub tells it of others goes before commands up to an eighth of what it
+//! reads, and behind all messages beyond that, as far as there is room.
 
 use std::sync::Arc;
 

@@ -1,6 +1,6 @@
 //! Senders that wait for capacity, where their channel has them wait (design §7).
 //!
-//! Capacity goes to whoever came first. What waits for a receiver because of them may fill half of its outbox only, so that
+//! Capacity goes to the first waiter. What waits for a receiver because of them may fill half of its outbox only, so that
 //! channels in which nobody waits have the other half.
 
 use std::collections::VecDeque;
@@ -115,7 +115,7 @@ impl PeerQueue {
         waiter.called
     }
 
-    /// Whether somebody waits, or has waited in vain since there was capacity last.
+    /// Whether a sender waits, or has waited in vain since there was capacity last.
     pub(crate) fn is_awaited(&self) -> bool {
         self.waiters.is_some()
     }
