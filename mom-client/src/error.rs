@@ -155,7 +155,7 @@ mod tests {
                 ClientError::Unknown(WireError::new(Code::DISCONNECTED, "it had left")),
                 ErrorKind::Unknown,
                 Some(Code::DISCONNECTED),
-                "unknown whether it was carried out: disconnected: it had left",
+                "it is unknown whether the request was carried out: disconnected: it had left",
             ),
             (
                 ClientError::Closed(Some(wire())),

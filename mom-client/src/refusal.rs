@@ -195,7 +195,7 @@ mod tests {
         );
         check(
             &held().retry_after(Duration::ZERO),
-            "bob (level 1) holds it, though its lease is over",
+            "bob (level 1) holds it, although its lease has expired",
         );
         let mut late = held().retry_after(seconds(3)).detail("place", 1);
         late.code = Code::TIMED_OUT;

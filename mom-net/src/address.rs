@@ -335,7 +335,7 @@ mod tests {
             ("lab:7666", "begin with"),
             ("ftp://lab", "ftp://"),
             ("ws://lab?form=xml", "not a form"),
-            ("bin://lab?form=xml", "schemes of their own"),
+            ("bin://lab?form=xml", "their own schemes"),
             ("tcp://", "no host"),
             ("tcp://:1", "no host"),
             ("tcp://lab:", "port is missing"),

@@ -94,7 +94,7 @@ fn run_cargo(root: &Path, args: &[String], programs: Option<&Path>) -> Result<Co
     if std::env::var_os(THREADS).is_none() {
         // Those of the whole system wait for their programs more than they compute.
         let cores = std::thread::available_parallelism().map_or(1, NonZero::get);
-        command.env(THREADS, (cores * 2).to_string());
+        command.env(THREADS, (cores + 1).to_string());
     }
     println!("$ {}", line(&command));
     if let Some(programs) = programs {

@@ -137,7 +137,7 @@ impl Track {
     pub fn absurd(&self) -> Option<String> {
         if !self.delay.is_finite() || self.delay >= MOST_DELAY {
             return Some(format!(
-                "the command delay is at least {:.1} s, more than the limit of {MOST_DELAY:.1} s",
+                "the command delay is {:.1} s; the limit is {MOST_DELAY:.1} s",
                 self.delay
             ));
         }
@@ -541,7 +541,7 @@ mod tests {
         track.cameras[0].turn = Vector3::new(0.4, 0.0, 0.0);
         let why = track.absurd().unwrap();
         assert!(
-            why.starts_with("commands would take 3.0 s"),
+            why.starts_with("the command delay is 3.0 s"),
             "the delay is blamed first: {why}"
         );
         track.delay = 0.4;

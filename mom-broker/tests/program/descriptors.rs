@@ -78,11 +78,11 @@ fn connections_beyond_the_descriptors_are_warned_of() {
     let broker = Running::of_command(limited(200), &file);
     write(137);
     broker.signal("-HUP");
-    let mut warned = broker.logged("may open");
+    let mut warned = broker.logged("limit of open files");
     assert!(warned.contains("connections=137 descriptors=200"), "{warned}");
     assert!(warned.contains("configure 136 at most"), "{warned}");
     write(10_000);
     broker.signal("-HUP");
-    warned = broker.logged("may open");
+    warned = broker.logged("limit of open files");
     assert!(warned.contains("connections=10000"), "{warned}");
 }

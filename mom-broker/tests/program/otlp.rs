@@ -202,7 +202,7 @@ async fn a_collector_that_is_not_there_costs_spans_and_one_line() {
     assert!(broker.child.wait().expect("it ends").success());
     let last = broker.logged("OTLP");
     assert!(
-        last.contains("has not taken") && last.contains("lost=6"),
+        last.contains("rejected") && last.contains("lost=6"),
         "{last}"
     );
 }

@@ -113,7 +113,7 @@ async fn guest(mut raw: Raw) -> Raw {
 async fn forms_that_are_not_taken_are_refused_by_name() {
     let broker = broker(|listen| listen.takes = vec![Protocol::Xml, Protocol::Http]).await;
     let error = refusal(&broker, &PREFACE).await;
-    check(&error, &Code::NOT_TAKEN, "does not take binary but xml, http");
+    check(&error, &Code::NOT_TAKEN, "accepts xml, http, not binary");
     over_tls(&broker, "bins", broker.local_addr())
         .await
         .expect_err("not within TLS either");
@@ -126,7 +126,7 @@ async fn forms_that_are_not_taken_are_refused_by_name() {
     check(
         &refusal(&broker, XML).await,
         &Code::NOT_TAKEN,
-        "does not take xml but binary",
+        "accepts binary, not xml",
     );
     Raw::login(broker.local_addr(), Form::Binary, "alice").await;
     broker.stop().await;
@@ -138,7 +138,7 @@ async fn ways_of_http_that_are_not_taken_are_refused_by_name() {
     let broker = broker(|listen| listen.takes = vec![Protocol::Binary]).await;
     for first in [&b"GET / HTTP/1.1\r\n"[..], b"POST /tunnel HTTP/1.1\r\n"] {
         let error = refusal(&broker, first).await;
-        check(&error, &Code::NOT_TAKEN, "does not take http but binary");
+        check(&error, &Code::NOT_TAKEN, "accepts binary, not http");
     }
     broker.stop().await;
 
@@ -166,7 +166,7 @@ async fn ways_of_http_that_are_not_taken_are_refused_by_name() {
         check(
             &refusal(&broker, XML).await,
             &Code::NOT_TAKEN,
-            "does not take xml",
+            ", not xml",
         );
         broker.stop().await;
     }

@@ -162,7 +162,7 @@ fn what_has_something_on_it_stays() {
         &|all| all[0].error = 9.0,
         "red",
         &on("blue"),
-        &["known only to 9 mm"],
+        &["known only to within 9 mm"],
     );
 }
 

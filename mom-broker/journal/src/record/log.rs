@@ -70,7 +70,7 @@ impl RecordingReader {
         match log.next()? {
             Some(RecordedLine::Head(head)) if head.form == VERSION => Ok((log, *head)),
             Some(RecordedLine::Head(head)) => Err(log.error(format!(
-                "a recording of version {}; this program reads version {VERSION}",
+                "a recording of form {}; this program reads form {VERSION}",
                 head.form
             ))),
             _ => Err(log.error("this is not a recording: its head is missing".to_owned())),
