@@ -61,7 +61,7 @@ test("an operator adds, changes and removes a robot, and is told what is wrong a
   await dialog.getByText("Say where the robot listens").waitFor();
   await address.fill(addresses[0]);
   await dialog.getByRole("button", { name: "Add it" }).click();
-  await dialog.getByText("is the address of unit 1 already").waitFor();
+  await dialog.getByText("is already the address of unit 1").waitFor();
   assert.equal(await address.getAttribute("aria-invalid"), "true");
   if (process.env.MOM_SHOTS) for (const width of [360, 900, 1400]) {
     await page.setViewportSize({ width, height: 900 });

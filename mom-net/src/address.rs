@@ -79,10 +79,15 @@ impl Address {
     ///     doors.iter().map(Address::to_string).collect::<Vec<_>>().join(" ")
     /// };
     /// assert_eq!(doors("mom://lab.example", true), "bins://lab.example:7666 wss://lab.example:443 https://lab.example:443");
-    /// assert_eq!(doors("mom://lab.example:1", false), "bins://lab.example:1 wss://lab.example:1 https://lab.example:1
-    /// bin://lab.example:1 ws://lab.example:1"); assert_eq!(doors("mom://[::1]:1", true), "bin://[::1]:1 ws://[::1]:1
-    /// http://[::1]:1 bins://[::1]:1 wss://[::1]:1 https://[::1]:1"); assert_eq!(doors("bin://lab.example", false),
-    /// "bin://lab.example:7666");
+    /// assert_eq!(
+    ///     doors("mom://lab.example:1", false),
+    ///     "bins://lab.example:1 wss://lab.example:1 https://lab.example:1 bin://lab.example:1 ws://lab.example:1"
+    /// );
+    /// assert_eq!(
+    ///     doors("mom://[::1]:1", true),
+    ///     "bin://[::1]:1 ws://[::1]:1 http://[::1]:1 bins://[::1]:1 wss://[::1]:1 https://[::1]:1"
+    /// );
+    /// assert_eq!(doors("bin://lab.example", false), "bin://lab.example:7666");
     /// ```
     pub fn doors(&self, secret: bool) -> Vec<Address> {
         if !self.any {
@@ -342,8 +347,8 @@ mod tests {
             ("tcp://lab:x", "from 0 to 65535"),
             ("tcp://lab:70000", "from 0 to 65535"),
             ("tcp://l//x", "path"),
-            ("bin://no host:1", "not a name of a host"),
-            ("bin://alice@lab:1", "not a name of a host"),
+            ("bin://no host:1", "not a host name"),
+            ("bin://alice@lab:1", "not a host name"),
             ("bin://::1:7666", "brackets"),
             ("bin://[lab]:7666", "brackets"),
             ("bins://lab?pin=12", "64 hexadecimal digits"),

@@ -293,7 +293,7 @@ mod tests {
         follower.heard(Point::new(0.0, 0.0), 1).expect("the first one");
         let hole = follower.heard(Point::new(1001.0, 0.0), 2);
         assert_eq!(hole, Err(Strayed::Hole(1001.0)));
-        let words = "the leader is 1001 mm from where it was seen last, and its path there is unknown";
+        let words = "the leader is 1001 mm from its last known position, and its path there is unknown";
         assert_eq!(hole.map_err(|error| error.to_string()), Err(words.to_owned()));
     }
 

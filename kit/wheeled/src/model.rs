@@ -175,14 +175,14 @@ mod tests {
             (
                 "1 = \"touch-front\"",
                 "B = \"touch-front\"",
-                "line 24, column 5: `touch-front` is plugged in at one of 1, 2, 3, 4",
+                "line 24, column 5: `touch-front` goes into one of 1, 2, 3, 4, not `B`",
             ),
             (
                 "1 = \"touch-front\"",
                 "1 = \"light\"",
                 "line 25, column 5: `light` is plugged in already",
             ),
-            ("1 = \"touch-front\"", "5 = \"touch-front\"", "and not at `5`"),
+            ("1 = \"touch-front\"", "5 = \"touch-front\"", "not `5`"),
             (
                 "A = \"left-motor\"",
                 "",

@@ -433,7 +433,10 @@ mod tests {
             guest.0.log_in("guest").expect("again");
         }
         let error = guests[2].0.log_in("guest").expect_err("one more");
-        assert!(error.to_string().contains("guest already has 2 connections"), "{error}");
+        assert!(
+            error.to_string().contains("guest already has 2 connections"),
+            "{error}"
+        );
         guests[2].0.log_in("alice").expect("others are not concerned");
         guests[0].0.log_in("alice").expect("as another user");
         guests[3].0.log_in("guest").expect("so that there is a place");

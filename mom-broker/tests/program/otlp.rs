@@ -201,10 +201,7 @@ async fn a_collector_that_is_not_there_costs_spans_and_one_line() {
     broker.signal("-TERM");
     assert!(broker.child.wait().expect("it ends").success());
     let last = broker.logged("OTLP");
-    assert!(
-        last.contains("rejected") && last.contains("lost=6"),
-        "{last}"
-    );
+    assert!(last.contains("rejected") && last.contains("lost=6"), "{last}");
 }
 
 /// It takes connections, and says nothing.

@@ -163,11 +163,7 @@ async fn ways_of_http_that_are_not_taken_are_refused_by_name() {
             let refused = (status == 403).then(|| "not-taken".to_owned());
             assert_eq!(answer.code(), refused, "{first} with {taken:?}");
         }
-        check(
-            &refusal(&broker, XML).await,
-            &Code::NOT_TAKEN,
-            ", not xml",
-        );
+        check(&refusal(&broker, XML).await, &Code::NOT_TAKEN, ", not xml");
         broker.stop().await;
     }
 }

@@ -204,11 +204,27 @@ impl Away {
             Running::start("mom-arm", &args, &[("MOM_PASSWORD", "arm")])
         };
         let arm = spawn_blocking(start).await.expect("it starts");
-        loop {
+        let came = loop {
             let joined = alice.next_of(Family::Event, "joined").await.value();
-            if joined.get("device").is_some() {
+            if joined.get("user").and_then(Value::as_str) == Some("arm") {
+                break joined.get("peer").cloned();
+            }
+        };
+        loop {
+            let members = alice
+                .ask_about(Family::Context, "members", ARM)
+                .await
+                .expect("a list");
+            let members = members.get("members").and_then(Value::as_list);
+            let is_it = |member: &&Value| {
+                let member = member.as_map().expect("a member");
+                member.get("peer") == came.as_ref() && member.get("device").is_some()
+            };
+            if members.expect("members").iter().any(|member| is_it(&member)) {
                 return arm;
             }
+            // The next event, who joins among them, is a reason to look again.
+            alice.next_within(Duration::from_millis(100)).await;
         }
     }
 

@@ -190,7 +190,7 @@ async fn half_of_a_certificate_is_not_overwritten() {
     let error = Broker::start(config.clone())
         .await
         .expect_err("one half is missing");
-    for part in ["hub.crt", "put it back, or remove both"] {
+    for part in ["hub.crt", "restore it, or remove both"] {
         assert!(error.to_string().contains(part), "{part:?} in {error}");
     }
     assert_eq!(std::fs::read(&identity.key).expect("it stays"), key);

@@ -88,7 +88,7 @@ async fn the_path_of_an_address_is_the_place() {
 #[test]
 fn a_wrong_address_is_a_wrong_address() {
     for (hub, why) in [
-        ("bin://nohost name:1", "\"nohost name\" is not a name of a host"),
+        ("bin://nohost name:1", "\"nohost name\" is not a host name"),
         ("ftp://lab:7666", "ftp:// is not a scheme of a hub"),
         ("lab:7666", "does not begin with bin:// or tcp://"),
         ("bin://lab:", "its port is missing"),
