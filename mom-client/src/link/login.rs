@@ -196,7 +196,7 @@ async fn prove(
             Family::Reply if parcel.reference == Some(id) => return Ok(map_of(&parcel)),
             Family::Error => return Err(ClientError::Refused(WireError::from_parcel(&parcel))),
             _ => {
-                tracing::debug!(family = %parcel.family, name = parcel.name(), "before the login was answered")
+                tracing::debug!(family = %parcel.family, name = parcel.name(), "before the login was answered");
             }
         }
     }
