@@ -16,7 +16,8 @@ pub mod work;
 
 pub use hub::HubArgs;
 
-/// Reads the arguments of a program, of which the first is its name, and begins its log on the standard error: as much as `RUST_LOG` says, else as `log` says.
+/// Reads the arguments of a program, of which the first is its name, and begins its log on the standard error: as much as
+/// `RUST_LOG` says, else as `log` says.
 /// None where its pages were asked for ([`mom_pages::ASK`]), which are written then.
 ///
 /// # Errors

@@ -180,7 +180,7 @@ mod tests {
             (
                 "1 = \"touch-front\"",
                 "1 = \"light\"",
-                "line 25, column 5: `light` is plugged in already",
+                "line 25, column 5: `light` is already plugged in",
             ),
             ("1 = \"touch-front\"", "5 = \"touch-front\"", "not `5`"),
             (

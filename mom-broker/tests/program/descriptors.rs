@@ -80,7 +80,7 @@ fn connections_beyond_the_descriptors_are_warned_of() {
     broker.signal("-HUP");
     let mut warned = broker.logged("limit of open files");
     assert!(warned.contains("connections=137 descriptors=200"), "{warned}");
-    assert!(warned.contains("configure 136 at most"), "{warned}");
+    assert!(warned.contains("configure at most 136"), "{warned}");
     write(10_000);
     broker.signal("-HUP");
     warned = broker.logged("limit of open files");

@@ -10,7 +10,8 @@ use serde_json::Value;
 use crate::command::{cargo, output};
 use crate::console;
 
-/// Every library that is linked into the packages' programs, or in the console's page where they have it: name, version, licence, and the texts that come with it.
+/// Every library that is linked into the packages' programs, or in the console's page where they have it: name, version, licence,
+/// and the texts that come with it.
 pub(super) fn of(root: &Path, packages: &[&str], has_console: bool) -> Result<String> {
     let mut tree = cargo(root);
     tree.args([
