@@ -29,6 +29,8 @@ test("the page is of the hub alone, within its policy, and small", async (t) => 
   const page = await lab.open("/", { t, allow: /Content Security Policy/ });
   const hosts = new Set();
   let bytes = 0;
+  // What the load before still waits for is not of the one that is measured.
+  await page.waitForLoadState("networkidle");
   page.on("response", async (response) => {
     hosts.add(new URL(response.url()).host);
     bytes += Number(response.headers()["content-length"] ?? 0);
