@@ -7,6 +7,7 @@ use std::process::ExitCode;
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Arg, Command, CommandFactory};
+use mom_nearest::nearest;
 
 use crate::{OWN, PREFIX, PROGRAMS};
 
@@ -66,6 +67,16 @@ fn said(mut error: clap::Error) -> i32 {
     if error.kind() == ErrorKind::InvalidValue {
         // The list says what each is.
         error.insert(ContextKind::ValidValue, ContextValue::Strings(Vec::new()));
+        // As everywhere else; clap's own measure takes `amr` for `camera`.
+        error.remove(ContextKind::SuggestedValue);
+        let given = error.get(ContextKind::InvalidValue).map(ToString::to_string);
+        let known = PROGRAMS.iter().map(|(name, _)| word(name));
+        if let Some(meant) = given.and_then(|given| nearest(&given, known)) {
+            error.insert(
+                ContextKind::SuggestedValue,
+                ContextValue::String(meant.to_owned()),
+            );
+        }
         // The exit code tells even where nothing can be written.
         let _ = error.print();
         let _ = io::Write::write_fmt(&mut io::stderr(), format_args!("\n{}\n", list()));

@@ -184,6 +184,7 @@ const ARROWS: &[(&str, May)] = &[
             "mom-linuxbot",
             "mom-mcp",
             "mom-model",
+            "mom-nearest",
             "mom-pages",
             "mom-rover",
             "mom-servo",
