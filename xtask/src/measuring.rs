@@ -9,7 +9,9 @@ use std::process::Command;
 use anyhow::{Context as _, Result, ensure};
 use toml::Table;
 
+use crate::clients;
 use crate::command::{cargo, line, shows};
+use crate::test::{PROGRAMS, SEED, WHOLE};
 use crate::verdict::{self, SOURCES};
 
 /// The workspace.
@@ -34,6 +36,12 @@ pub(crate) fn run_if_changed(root: &Path) -> Result<bool> {
 /// Checks them; whether they pass, which is stored if asked for.
 pub(crate) fn run(root: &Path, write: bool) -> Result<bool> {
     let before = verdict::sources(root, counts_for)?;
+    let mut whole = cargo(root);
+    whole.args(WHOLE);
+    println!("$ {}", line(&whole));
+    if !shows(&mut whole)? {
+        return Ok(false);
+    }
     for mut step in steps(root) {
         println!("$ {} ({FOLDER})", line(&step));
         if !shows(&mut step)? {
@@ -71,7 +79,10 @@ fn steps(root: &Path) -> [Command; 4] {
     .map(|args| {
         let mut step = cargo(&root.join(FOLDER));
         // What fails in CI is what a change did.
-        step.args(args).env("PROPTEST_RNG_SEED", "1");
+        step.args(args).env(SEED, "1");
+        // Those of the product as all its tests have them, built once; with the features that a measurement's own build would have, most of
+        // it would be compiled once more.
+        step.env(PROGRAMS, clients::target(root).join("debug"));
         step
     })
 }
@@ -100,7 +111,45 @@ fn counts_for(path: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::{BTreeMap, BTreeSet};
+
     use super::*;
+
+    fn table(path: &str) -> Table {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let text = fs::read_to_string(root.join(path)).expect(path);
+        text.parse().expect(path)
+    }
+
+    /// Versions of each package of a lock file.
+    fn versions(path: &str) -> BTreeMap<String, BTreeSet<String>> {
+        let mut versions: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
+        for package in table(path)["package"].as_array().expect("packages") {
+            let text = |key: &str| package[key].as_str().expect(key).to_owned();
+            versions.entry(text("name")).or_default().insert(text("version"));
+        }
+        versions
+    }
+
+    /// What both workspaces need is built once for both, and measured as it is shipped.
+    #[test]
+    fn profiles_and_versions_are_those_of_the_product() {
+        let (product, measuring) = (versions("Cargo.lock"), versions("benches/Cargo.lock"));
+        for (name, own) in &measuring {
+            let shared = product.get(name).is_none_or(|theirs| !theirs.is_disjoint(own));
+            assert!(
+                shared,
+                "{name} {own:?} is not the product's: cargo update in benches"
+            );
+        }
+        let mut profiles = table("Cargo.toml")["profile"].clone();
+        // Cargo warns of a profile of what is not there.
+        profiles["dev"]["package"]
+            .as_table_mut()
+            .expect("packages")
+            .retain(|name, _| name == "*" || measuring.contains_key(name));
+        assert_eq!(profiles, table("benches/Cargo.toml")["profile"]);
+    }
 
     #[test]
     fn what_they_are_built_from_counts() {

@@ -20,17 +20,17 @@ use crate::{clients, console, javascript};
 const THREADS: &str = "RUST_TEST_THREADS";
 
 /// The seed of properties, as their runner knows it.
-const SEED: &str = "PROPTEST_RNG_SEED";
+pub(crate) const SEED: &str = "PROPTEST_RNG_SEED";
 
 /// Says to tests where the programs are that they start, so that they do not build them.
-const PROGRAMS: &str = "MOM_PROGRAMS";
+pub(crate) const PROGRAMS: &str = "MOM_PROGRAMS";
 
 /// What is off by default and yet built, linted and tested with the whole workspace: nobody else in CI would.
 pub(crate) const FEATURES: &str = "--features=mom-broker/otlp";
 
 /// Builds the tests, and all programs and examples from what the tests are built from: with the features that a package's own build would
 /// have, most of it would be compiled once more.
-const WHOLE: [&str; 7] = [
+pub(crate) const WHOLE: [&str; 7] = [
     "build",
     "--locked",
     "--workspace",
