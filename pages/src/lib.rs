@@ -1,4 +1,7 @@
-//! Man pages and shell completions, which each program writes itself, so that they are those of the program that is installed.
+//! What the command lines of all programs have alike: man pages and shell completions, which each program writes itself, so that they are
+//! those of the program that is installed; and times.
+
+mod times;
 
 use std::ffi::OsString;
 use std::path::Path;
@@ -6,6 +9,8 @@ use std::{fs, io};
 
 use clap::CommandFactory;
 use clap_complete::Shell;
+
+pub use times::{duration, duration_within};
 
 /// The first of the two arguments that ask for them. It is not an option of the programs, because it is for packagers only.
 pub const ASK: &str = "--write-pages";

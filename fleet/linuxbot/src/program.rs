@@ -15,6 +15,7 @@ use crate::{Access, Login, Options, Page, Robot, Rules, serve_observed, serve_pa
 use anyhow::Context;
 use clap::Parser;
 use mom_brs::{Table, file};
+use mom_pages::duration_within;
 use mom_trace::Trace;
 use mom_wheels::{Chassis, Driver, Point, Pose, Simulated, Traced, Watchdog, WheelTime};
 use tokio::net::TcpListener;
@@ -57,7 +58,7 @@ struct LinuxbotArgs {
     #[arg(long, value_name = "ADDRESS")]
     allow: Vec<IpAddr>,
     /// The motors stop when no command comes for so long: a time such as 500ms or 2s
-    #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = time, conflicts_with = "paper")]
+    #[arg(long, value_name = "TIME", default_value = "500ms", value_parser = duration_within(Duration::from_millis(1)..=Duration::from_secs(86_400)), conflicts_with = "paper")]
     watchdog: Duration,
     /// As the paper has it: no watchdog, motors run on when the base station is lost, and a second one is just closed
     #[arg(long)]
@@ -97,21 +98,6 @@ fn units(text: &str) -> anyhow::Result<RangeInclusive<u16>> {
         "it must be a number or a range such as 9-10"
     );
     Ok(first..=last)
-}
-
-/// `500ms` or `2s`.
-fn time(text: &str) -> anyhow::Result<Duration> {
-    let (number, unit) = match text.strip_suffix("ms") {
-        Some(number) => (number, 1e-3),
-        None => (text.strip_suffix('s').unwrap_or_default(), 1.0),
-    };
-    let number: f64 = number
-        .parse()
-        .ok()
-        .context("it must be a time such as 500ms or 2s")?;
-    let time = Duration::try_from_secs_f64(number * unit)?;
-    anyhow::ensure!(time >= Duration::from_millis(1), "it must be at least 1ms");
-    Ok(time)
 }
 
 /// Runs the program with these arguments, of which the first is its name, until it is done or told to end.

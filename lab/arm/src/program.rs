@@ -9,6 +9,7 @@ use crate::controller::{Controller, LinkFault, Traced};
 use crate::{ArmMachine, ArmOptions, Mount, peer};
 use anyhow::Context;
 use clap::Parser;
+use mom_pages::duration_within;
 use mom_program::{HubArgs, begin, shutdown};
 use mom_trace::Trace;
 
@@ -41,7 +42,7 @@ struct ArmArgs {
     #[arg(long, value_name = "NAME")]
     manager: Option<String>,
     /// Refuse commands that are older than this when they begin, whatever their senders say: a time such as 500ms or 2s
-    #[arg(long, value_name = "TIME", value_parser = time)]
+    #[arg(long, value_name = "TIME", value_parser = time())]
     max_age: Option<Duration>,
     /// Let the simulated link to the controller fail (M53): it stands for the first time, is down for the second, again and again, such as 30s/2s
     #[arg(long, value_name = "UP/DOWN", value_parser = link_fault)]
@@ -60,19 +61,9 @@ struct ArmArgs {
     trace: Option<PathBuf>,
 }
 
-/// `500ms` or `2s`.
-fn time(text: &str) -> anyhow::Result<Duration> {
-    let (number, unit) = match text.strip_suffix("ms") {
-        Some(number) => (number, 1e-3),
-        None => (text.strip_suffix('s').unwrap_or_default(), 1.0),
-    };
-    let number: f64 = number
-        .parse()
-        .ok()
-        .context("it must be a time such as 500ms or 2s")?;
-    let time = Duration::try_from_secs_f64(number * unit)?;
-    anyhow::ensure!(time >= Duration::from_millis(1), "it must be at least 1ms");
-    Ok(time)
+/// A time that is not nothing.
+fn time() -> impl Fn(&str) -> Result<Duration, String> + Clone + Send + Sync + 'static {
+    duration_within(Duration::from_millis(1)..=Duration::from_secs(86_400))
 }
 
 /// `30s/2s`.
@@ -80,7 +71,11 @@ fn link_fault(text: &str) -> anyhow::Result<LinkFault> {
     let (after, lasting) = text
         .split_once('/')
         .context("it must be two times, such as 30s/2s")?;
-    let micros = |text: &str| anyhow::Ok(i64::try_from(time(text)?.as_micros())?);
+    let micros = |text: &str| {
+        anyhow::Ok(i64::try_from(
+            time()(text).map_err(anyhow::Error::msg)?.as_micros(),
+        )?)
+    };
     Ok(LinkFault {
         after: micros(after)?,
         lasting: micros(lasting)?,

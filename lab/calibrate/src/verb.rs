@@ -11,6 +11,7 @@ use mom_client::{Client, Value};
 use mom_drive::{
     CommandEnd, DeviceChannel, Doing as _, Holding, Pose, Robot, Tell, VerbFailure, WorkEnd, both,
 };
+use mom_pages::duration_within;
 use serde_json::json;
 use tokio::time::timeout;
 
@@ -62,7 +63,7 @@ pub struct VerbArgs {
     #[arg(long, value_name = "SECONDS")]
     pub wait: Option<u64>,
     /// How long after each move the camera's picture is waited for; 500ms or more for a real camera
-    #[arg(long, value_name = "TIME", default_value = "0s", value_parser = time)]
+    #[arg(long, value_name = "TIME", default_value = "0s", value_parser = duration_within(Duration::ZERO..=Duration::from_secs(60)))]
     pub settle: Duration,
 }
 
@@ -395,26 +396,6 @@ fn place(text: &str) -> Result<[f64; 3], String> {
         _ => None,
     }
     .ok_or_else(|| "a place is three numbers of mm: 0,-140,75".to_owned())
-}
-
-/// `500ms`, `2s`; a minute at most.
-fn time(text: &str) -> Result<Duration, String> {
-    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
-    let (number, unit) = text.split_at(digits);
-    let factor = match unit {
-        "ms" => Some(1),
-        "s" => Some(1000),
-        _ => None,
-    };
-    let millis = number
-        .parse()
-        .ok()
-        .zip(factor)
-        .map(|(number, factor): (u64, u64)| number.saturating_mul(factor));
-    millis
-        .filter(|millis| *millis <= 60_000)
-        .map(Duration::from_millis)
-        .ok_or_else(|| "it is a time up to 60s, in ms or s: 500ms, 2s".to_owned())
 }
 
 fn length(text: &str) -> Result<f64, String> {

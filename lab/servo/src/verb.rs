@@ -11,6 +11,7 @@ use mom_drive::{
     DeviceChannel, Doing as _, HALTED, Holding, REPEATED, TIMES, Tell, VerbFailure, both, closed, insist,
     lost_words,
 };
+use mom_pages::duration_within;
 use serde_json::json;
 use tokio::time::error::Elapsed;
 use tokio::time::{Instant, timeout};
@@ -33,7 +34,7 @@ pub struct VerbArgs {
     #[arg(long, value_name = "MM", default_value = "20")]
     pub gap: f64,
     /// How long the agent may drive: 30s, 2m; at most 1h
-    #[arg(long = "for", value_name = "TIME", default_value = "2m", value_parser = time)]
+    #[arg(long = "for", value_name = "TIME", default_value = "2m", value_parser = duration_within(Duration::from_millis(1)..=Duration::from_secs(3600)))]
     pub time: Duration,
     /// How many commands it may send
     #[arg(long, value_name = "N", default_value_t = 120, value_parser = clap::value_parser!(u64).range(1..=10_000))]
@@ -396,28 +397,6 @@ async fn release(guard: Option<TokenGuard>) -> Result<(), VerbFailure> {
     released.doing(what)
 }
 
-/// `30s`, `2m`; an hour at most.
-fn time(text: &str) -> Result<Duration, String> {
-    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
-    let (number, unit) = text.split_at(digits);
-    let factor = match unit {
-        "ms" => Some(1),
-        "s" => Some(1000),
-        "m" => Some(60_000),
-        "h" => Some(3_600_000),
-        _ => None,
-    };
-    let millis = number
-        .parse()
-        .ok()
-        .zip(factor)
-        .map(|(number, factor): (u64, u64)| number.saturating_mul(factor));
-    millis
-        .filter(|millis| (1..=3_600_000).contains(millis))
-        .map(Duration::from_millis)
-        .ok_or_else(|| "it is a time up to 1h: 30s, 2m".to_owned())
-}
-
 #[cfg(test)]
 mod tests {
     use clap::Parser as _;
@@ -439,8 +418,8 @@ mod tests {
         );
         for (option, value, words) in [
             ("--side", "above", "is not a side: right, left, front or back"),
-            ("--for", "2d", "it is a time up to 1h"),
-            ("--for", "0s", "it is a time up to 1h"),
+            ("--for", "2d", "it is a time from 1ms to 1h"),
+            ("--for", "0s", "it is a time from 1ms to 1h"),
             ("--commands", "0", "0 is not in 1..=10000"),
         ] {
             let error = Line::try_parse_from(["servo", "red", "green", option, value]).unwrap_err();

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use clap::Args;
 
-use super::duration;
+use mom_pages::duration;
 
 /// `mom audit`
 #[derive(Args, Debug)]

@@ -5,7 +5,7 @@ use std::time::Duration;
 use clap::Args;
 use mom_client::ContextKind;
 
-use super::duration;
+use mom_pages::duration;
 
 /// `mom create`
 #[derive(Args, Debug)]

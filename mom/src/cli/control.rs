@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use clap::Args;
 
-use super::duration;
+use mom_pages::duration;
 
 /// How long to hold a token.
 #[derive(Args, Debug)]

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand};
 use mom_client::{MessageRate, WireError};
+use mom_pages::duration;
 
 mod access;
 mod camera;
@@ -407,24 +408,6 @@ fn rate(text: &str) -> Result<MessageRate, String> {
     text.parse().map_err(|error: WireError| error.text)
 }
 
-/// `250ms`, `5s`, `2m`, `1h`; a number without a unit is refused, because nobody knows which one was meant.
-pub(crate) fn duration(text: &str) -> Result<Duration, String> {
-    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
-    let (number, unit) = text.split_at(digits);
-    let factor = match unit {
-        "ms" => 1,
-        "s" => 1000,
-        "m" | "min" => 60_000,
-        "h" => 3_600_000,
-        _ => return Err("a time is a number with ms, s, m or h: 250ms, 5s, 2m".to_owned()),
-    };
-    let number: u64 = number
-        .parse()
-        .map_err(|_| "a time begins with a whole number: 5s".to_owned())?;
-    let millis = number.checked_mul(factor).ok_or("that is too long a time")?;
-    Ok(Duration::from_millis(millis))
-}
-
 #[cfg(test)]
 mod tests {
     use clap::CommandFactory as _;
@@ -495,26 +478,5 @@ mod tests {
     #[test]
     fn a_password_is_no_argument() {
         assert!(Cli::try_parse_from(["mom", "tree", "--password", "x"]).is_err());
-    }
-
-    #[test]
-    fn durations() {
-        for (text, millis) in [
-            ("250ms", Ok(250)),
-            ("5s", Ok(5000)),
-            ("2m", Ok(120_000)),
-            ("1h", Ok(3_600_000)),
-            ("5", Err("a number with")),
-            ("s", Err("a whole number")),
-            ("5 s", Err("a number with")),
-            ("99999999999999999999s", Err("a whole number")),
-            ("9999999999999999999h", Err("too long")),
-        ] {
-            match (duration(text), millis) {
-                (Ok(told), Ok(millis)) => assert_eq!(told, Duration::from_millis(millis), "{text}"),
-                (Err(told), Err(words)) => assert!(told.contains(words), "{text}: {told}"),
-                (told, _) => panic!("{text}: {told:?}"),
-            }
-        }
     }
 }

@@ -62,7 +62,13 @@ const ARROWS: &[(&str, May)] = &[
     ("mom-device", May::Use(&["mom-client", "mom-nearest"])),
     (
         "mom-arm",
-        May::Use(&["mom-client", "mom-device", "mom-program", "mom-trace"]),
+        May::Use(&[
+            "mom-client",
+            "mom-device",
+            "mom-pages",
+            "mom-program",
+            "mom-trace",
+        ]),
     ),
     (
         "mom-base-station",
@@ -128,13 +134,14 @@ const ARROWS: &[(&str, May)] = &[
             "mom-client",
             "mom-drive",
             "mom-nearest",
+            "mom-pages",
             "mom-vision",
             "mom-program",
         ]),
     ),
     (
         "mom-calibrate",
-        May::Use(&["mom-client", "mom-drive", "mom-vision"]),
+        May::Use(&["mom-client", "mom-drive", "mom-pages", "mom-vision"]),
     ),
     ("mom-mcp", May::Use(&["mom-client", "mom-drive", "mom-program"])),
     (
@@ -143,6 +150,7 @@ const ARROWS: &[(&str, May)] = &[
             "mom-client",
             "mom-drive",
             "mom-nearest",
+            "mom-pages",
             "mom-vision",
             "mom-program",
         ]),

@@ -3,10 +3,14 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use clap::{Parser, Subcommand};
+use mom_pages::duration_within;
+
 use crate::edit::{Change, Edit};
 use crate::fleet::{Address, Robot, Unit};
-use anyhow::{Context as _, Result, ensure};
-use clap::{Parser, Subcommand};
+
+/// The longest time that an option takes.
+const DAY: Duration = Duration::from_secs(86_400);
 
 const EXAMPLES: &str = "\
 Examples:
@@ -50,7 +54,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "FILE")]
     pub(super) log: Option<PathBuf>,
     /// For how long the commands below try to connect, before they go on without the robots that are missing
-    #[arg(long, value_name = "TIME", default_value = "3s", value_parser = time)]
+    #[arg(long, value_name = "TIME", default_value = "3s", value_parser = duration_within(Duration::ZERO..=DAY))]
     pub(super) timeout: Duration,
     #[command(subcommand)]
     pub(super) work: Option<Work>,
@@ -162,14 +166,14 @@ pub(super) struct SendArgs {
     #[arg(required = true, allow_negative_numbers = true, value_name = "STATEMENT")]
     pub(super) statement: Vec<String>,
     /// Send it again and again, after a time such as 500ms or 2s
-    #[arg(long, value_name = "TIME", value_parser = time)]
+    #[arg(long, value_name = "TIME", value_parser = duration_within(Duration::ZERO..=DAY))]
     pub(super) repeat: Option<Duration>,
     /// So many times in all; without it until Ctrl-C
     #[arg(long, value_name = "N", requires = "repeat", value_parser = clap::value_parser!(u64).range(1..))]
     pub(super) times: Option<u64>,
     /// Stay so long afterwards before the robots are stopped; without it, until Ctrl-C where a statement that is sent
     /// once has set one in motion
-    #[arg(long, value_name = "TIME", value_parser = time)]
+    #[arg(long, value_name = "TIME", value_parser = duration_within(Duration::ZERO..=DAY))]
     pub(super) stay: Option<Duration>,
 }
 
@@ -179,21 +183,6 @@ pub(super) struct RunArgs {
     #[arg(value_name = "FILE")]
     pub(super) script: PathBuf,
     /// Stay so long afterwards before the robots are stopped
-    #[arg(long, value_name = "TIME", value_parser = time, default_value = "0ms")]
+    #[arg(long, value_name = "TIME", value_parser = duration_within(Duration::ZERO..=DAY), default_value = "0ms")]
     pub(super) stay: Duration,
-}
-
-/// `500ms` or `2s`, up to a day.
-pub(super) fn time(text: &str) -> Result<Duration> {
-    let (number, unit) = match text.strip_suffix("ms") {
-        Some(number) => (number, 1),
-        None => (text.strip_suffix('s').unwrap_or_default(), 1000),
-    };
-    let number: u64 = number
-        .parse()
-        .ok()
-        .context("it must be a time such as 500ms or 2s")?;
-    let millis = number.saturating_mul(unit);
-    ensure!(millis <= 24 * 3600 * 1000, "it must be at most a day");
-    Ok(Duration::from_millis(millis))
 }
