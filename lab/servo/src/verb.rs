@@ -418,7 +418,7 @@ mod tests {
         );
         for (option, value, words) in [
             ("--side", "above", "is not a side: right, left, front or back"),
-            ("--for", "2d", "it is a time from 1ms to 1h"),
+            ("--for", "2d", "a time is a number with ms, s, m or h"),
             ("--for", "0s", "it is a time from 1ms to 1h"),
             ("--commands", "0", "0 is not in 1..=10000"),
         ] {
