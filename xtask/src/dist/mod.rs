@@ -121,15 +121,20 @@ pub(crate) fn run(root: &Path, programs: Option<&Path>, out: Option<&Path>, fast
     };
     let release = Release::of(root, fast)?;
     let (mut files, mut titles) = (Vec::new(), BTreeSet::new());
+    let named = |pack: &str| format!("{pack}-{}-{}-linux", release.version, env::consts::ARCH);
+    let debug = out.join(named("mom-debug"));
+    fs::create_dir_all(&debug)?;
     for pack in &PACKS {
-        let name = format!("{}-{}-{}-linux", pack.name, release.version, env::consts::ARCH);
-        let tree = out.join(name);
-        lay_out(root, pack, &programs, &tree)?;
+        let tree = out.join(named(pack.name));
+        lay_out(root, pack, &programs, &tree, &debug)?;
         part_titles(&tree.join("man"), &mut titles)?;
         files.push(debian::pack(root, pack, &release, &tree, &out)?);
         files.push(archive(&release, &tree)?);
         fs::remove_dir_all(&tree)?;
     }
+    open(&debug)?;
+    files.push(archive(&release, &debug)?);
+    fs::remove_dir_all(&debug)?;
     let container = "Containerfile".to_owned();
     copy(
         &root.join("packages").join(&container),
@@ -182,17 +187,11 @@ fn build(root: &Path) -> Result<PathBuf> {
 }
 
 /// Puts everything that belongs to a pack into a folder, where its archive and its package take it from.
-fn lay_out(root: &Path, pack: &Pack, programs: &Path, tree: &Path) -> Result<()> {
+fn lay_out(root: &Path, pack: &Pack, programs: &Path, tree: &Path, debug: &Path) -> Result<()> {
     let pages = tree.join("pages");
     fs::create_dir_all(tree.join("bin"))?;
     for (_, name) in pack.programs {
-        let built = programs.join(name);
-        let stripped = tree.join("bin").join(name);
-        let mut strip = Command::new("strip");
-        output(strip.arg("--strip-all").arg("-o").arg(&stripped).arg(&built))?;
-        copy(&stripped, &stripped, 0o755)?;
-        let bytes = fs::metadata(&stripped)?.len();
-        println!("{name}: {:.1} MiB", bytes as f64 / f64::from(1 << 20));
+        split(&programs.join(name), &tree.join("bin"), debug)?;
     }
     for (name, _) in pack.links {
         symlink(pack.linked(), tree.join("bin").join(name))?;
@@ -228,6 +227,31 @@ fn lay_out(root: &Path, pack: &Pack, programs: &Path, tree: &Path) -> Result<()>
     let licences = licences::of(root, &packages, pack.has_console)?;
     put(&tree.join("licences"), &licences, 0o644)?;
     open(tree)
+}
+
+/// Puts a program into the folder `bin` without its debug info, and that into the folder `debug`. The program names the file, and finds it in
+/// `.debug` beside itself, or in `/usr/lib/debug` below its own path: then a crash tells files and lines.
+fn split(built: &Path, bin: &Path, debug: &Path) -> Result<()> {
+    let name = built.file_name().context("a program has a name")?;
+    let mut info_name = name.to_owned();
+    info_name.push(".debug");
+    let (stripped, info) = (bin.join(name), debug.join(info_name));
+    let mut keep = Command::new("objcopy");
+    output(keep.arg("--only-keep-debug").args([built, &info]))?;
+    copy(&info, &info, 0o644)?;
+    let mut strip = Command::new("objcopy");
+    let mut link = OsString::from("--add-gnu-debuglink=");
+    link.push(&info);
+    output(strip.arg("--strip-all").arg(link).args([built, &stripped]))?;
+    copy(&stripped, &stripped, 0o755)?;
+    let mib = |path: &Path| anyhow::Ok(fs::metadata(path)?.len() as f64 / f64::from(1 << 20));
+    println!(
+        "{}: {:.1} MiB, its debug info {:.1} MiB",
+        name.display(),
+        mib(&stripped)?,
+        mib(&info)?
+    );
+    Ok(())
 }
 
 /// Gives the section `1robot` to pages whose title another pack has: `mom-camera` is a program of its own, and `mom camera` a command.

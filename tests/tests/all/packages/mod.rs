@@ -108,7 +108,7 @@ fn archive_and_package_have_the_same_programs_and_all_pages() {
     let mut sums = Command::new("sha256sum");
     sums.current_dir(dist).args(["--check", "SHA256SUMS"]);
     let sums = lines_of(sums);
-    assert_eq!(sums.len(), 5, "{sums:?}");
+    assert_eq!(sums.len(), 6, "{sums:?}");
     // Whoever packs the same commit gets the same files, with other habits too.
     let again = packed_with("077", &folder.path().join("again"));
     let sums_of = |package: &Path| std::fs::read_to_string(package.with_file_name("SHA256SUMS"));
@@ -120,7 +120,7 @@ fn archive_and_package_have_the_same_programs_and_all_pages() {
     for ((package, path), files) in PACKAGES.iter().zip(&packages).zip(files) {
         let begins = |line: &&String| {
             let rest = line.strip_prefix(package);
-            rest.is_some_and(|rest| rest.starts_with('-') && !rest.starts_with("-robot"))
+            rest.is_some_and(|rest| rest.starts_with('-') && !rest.starts_with("-robot") && !rest.starts_with("-debug"))
         };
         let archive = sums
             .iter()
@@ -163,6 +163,41 @@ fn archive_and_package_have_the_same_programs_and_all_pages() {
         let expected = if *package == "mom" { 2 } else { 1 + LINKS.len() };
         assert_eq!(programs, expected, "{installed:?}");
     }
+}
+
+/// What a crash tells as addresses becomes files and lines as soon as the debug info lies beside the program.
+#[test]
+fn a_packed_program_finds_its_debug_info() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("dist");
+    packed(&out);
+    let unpack = |begin: &str| {
+        let mut list = Command::new("sh");
+        let each = format!("for f in {begin}-[0-9]*.tar.gz; do tar -xzf $f --strip-components=1 --one-top-level=at; done");
+        list.current_dir(&out).args(["-ec", &each]);
+        lines_of(list);
+    };
+    unpack("mom-robot");
+    let program = out.join("at/bin/mom-device");
+    let place = |address: &str| {
+        let mut line = Command::new("addr2line");
+        lines_of({
+            line.arg("-e").arg(&program).arg(address);
+            line
+        })
+    };
+    unpack("mom-debug");
+    let info = out.join("at/mom-device.debug");
+    let mut names = Command::new("nm");
+    names.arg("--demangle").arg(&info);
+    let names = lines_of(names);
+    let main = names.iter().find(|line| line.ends_with("mom_device::main"));
+    let address = main.and_then(|line| line.split(' ').next()).expect("it has a main");
+    assert_eq!(place(address), ["??:0"]);
+    std::fs::create_dir(out.join("at/bin/.debug")).expect("a folder");
+    std::fs::rename(info, out.join("at/bin/.debug/mom-device.debug")).expect("it is moved");
+    let found = place(address);
+    assert!(found[0].contains("mom-robot/src/main.rs:"), "{found:?}");
 }
 
 #[test]
