@@ -1,4 +1,4 @@
-//! Commands that devices bring along: each is a folder of its own under `peers`, and one line here.
+//! Commands that the packages of the wings bring along: each is a module there, and one line here.
 
 use clap::Subcommand;
 use mom_client::Client;

@@ -100,3 +100,21 @@ impl Audit {
         map
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_page_of_the_audit_log_has_all_words() {
+        let page = include_str!("../../../docs/audit.md");
+        let table = page.split("| `what` | when |").nth(1).expect("a table");
+        let table = table.split("\n\n").next().expect("its rows");
+        for word in Audit::WORDS {
+            assert!(
+                table.contains(&format!("`{word}`")),
+                "docs/audit.md lacks `{word}`"
+            );
+        }
+    }
+}

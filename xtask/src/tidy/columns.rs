@@ -12,7 +12,7 @@ const HERE: &str = "xtask/src/tidy/columns.rs";
 /// An extension, and how many lines of such files are wider at most. It may only fall.
 const BOUNDS: &[(&str, usize)] = &[("rs", RUST), ("md", PROSE)];
 const RUST: usize = 60;
-const PROSE: usize = 1247;
+const PROSE: usize = 1140;
 /// So many fewer than the bound may there be before it is lowered.
 const SLACK: usize = 20;
 /// The words of the papers, and history.

@@ -10,11 +10,14 @@ use super::Report;
 use super::tree::{Tree, join, line_at};
 use crate::command::{cargo, output};
 
-/// What a package may depend on among ours. Development dependencies are free: tests may look anywhere.
+/// What a package may depend on among ours, and does. Dependencies of tests and of `build.rs` are free.
 enum May {
     Use(&'static [&'static str]),
     UseAll,
 }
+
+/// Where the arrows stand.
+const HERE: &str = "xtask/src/tidy/imports.rs";
 
 const ARROWS: &[(&str, May)] = &[
     ("mom-proto", May::Use(&["mom-nearest"])),
@@ -82,21 +85,12 @@ const ARROWS: &[(&str, May)] = &[
     ("mom-drive", May::Use(&["mom-client"])),
     (
         "mom-cubo",
-        May::Use(&[
-            "mom-rsp",
-            "mom-rsp-model",
-            "mom-sound",
-            "mom-trace",
-            "mom-wheels",
-            "mom-pages",
-        ]),
+        May::Use(&["mom-rsp", "mom-sound", "mom-trace", "mom-wheels", "mom-pages"]),
     ),
     (
         "mom-simulacrum",
         May::Use(&[
             "mom-client",
-            // The robot of its tests.
-            "mom-cubo",
             "mom-device",
             "mom-wheeled",
             "mom-rsp",
@@ -134,7 +128,6 @@ const ARROWS: &[(&str, May)] = &[
             "mom-client",
             "mom-drive",
             "mom-nearest",
-            "mom-pages",
             "mom-vision",
             "mom-program",
         ]),
@@ -267,12 +260,20 @@ pub(crate) fn check(tree: &Tree, report: &mut Report<'_>) -> Result<()> {
             report(
                 path,
                 1,
-                format!("`{name}` has no place in ARROWS of xtask/src/tidy/imports.rs: say what it may use"),
+                format!("`{name}` has no place in ARROWS of {HERE}: say what it may use"),
             );
             continue;
         };
         let May::Use(allowed) = may else { continue };
-        for (key, package) in dependencies(manifest, workspace) {
+        let used = dependencies(manifest, workspace);
+        let is_unused =
+            |may: &&&str| ours.contains(**may) && used.iter().all(|(_, package)| package != **may);
+        for unused in allowed.iter().filter(is_unused) {
+            let text =
+                format!("`{name}` does not depend on `{unused}`: take that arrow out of ARROWS of {HERE}");
+            report(path, 1, text);
+        }
+        for (key, package) in used {
             if let Some(text) = crosses(path, name, &package, &manifests) {
                 report(path, line_of_key(tree.text(path).unwrap_or_default(), &key), text);
             }
@@ -470,6 +471,15 @@ mod tests {
             "[package]\nname = \"mom-hub\"\n[dependencies]\nserde.workspace = true\n",
         ] {
             assert_eq!(faults(manifest), [] as [&str; 0], "{manifest}");
+        }
+    }
+
+    #[test]
+    fn an_arrow_that_nothing_needs_is_found() {
+        let fault = "a/Cargo.toml:1: `mom-client` does not depend on `mom-net`: take that arrow out of ARROWS of xtask/src/tidy/imports.rs";
+        for dependencies in ["", "[dev-dependencies]\nmom-net.workspace = true\n"] {
+            let manifest = format!("[package]\nname = \"mom-client\"\n{dependencies}");
+            assert_eq!(faults(&manifest), [fault], "{dependencies}");
         }
     }
 

@@ -1,4 +1,7 @@
 //! Relative links in the documents lead to files and headings that exist: a reader who follows one must arrive.
+//!
+//! So must one who looks up a file that is named in backticks: `lab/arm`, `config/cubo.toml`, or the end of a path to a source, such as
+//! `verbs/grab.rs`. In a table whose first column has nothing but folders, a source is one of the row's.
 
 use std::collections::BTreeMap;
 
@@ -14,6 +17,13 @@ struct Link<'a> {
     target: &'a str,
 }
 
+/// Names of files that end so are names of sources.
+const SOURCES: &[&str] = &[".rs", ".ts", ".svelte", ".mjs", ".py"];
+/// What is built is in no checkout.
+const BUILT: &str = "dist";
+/// History names what there was.
+const HISTORY: &[&str] = &["CHANGELOG.md", "docs/bugs.md"];
+
 pub(crate) fn check(tree: &Tree, report: &mut Report<'_>) -> Result<()> {
     for (path, text) in tree.with_extension(&["md"]) {
         if path.contains('/') && !path.starts_with("docs/") {
@@ -24,8 +34,71 @@ pub(crate) fn check(tree: &Tree, report: &mut Report<'_>) -> Result<()> {
                 report(path, line, fault);
             }
         }
+        let written = prose(text).filter(|_| !HISTORY.contains(&path));
+        for (line, content) in written {
+            let folders = row_folders(tree, content);
+            for name in in_backticks(content).filter(|name| is_path(tree, name)) {
+                if !leads(tree, name, &folders) {
+                    report(
+                        path,
+                        line,
+                        format!("`{name}` leads nowhere: there is no such file"),
+                    );
+                }
+            }
+        }
     }
     Ok(())
+}
+
+fn in_backticks(line: &str) -> impl Iterator<Item = &str> {
+    line.split('`').skip(1).step_by(2)
+}
+
+/// The folders in the first cell of a table's row, if nothing else is there.
+fn row_folders<'a>(tree: &Tree, line: &'a str) -> Vec<&'a str> {
+    let cell = line.strip_prefix('|').and_then(|row| row.split('|').next());
+    let Some(cell) = cell else { return Vec::new() };
+    let is_more = |text: &str| text.contains(|next: char| !matches!(next, ' ' | ','));
+    if cell.split('`').step_by(2).any(is_more) {
+        return Vec::new();
+    }
+    let is_folder = |name: &&str| tree.files().any(|(path, _)| inside(path, name).is_some());
+    in_backticks(cell).filter(is_folder).collect()
+}
+
+/// Whether what stands in backticks is the name of a source, or a path from the root.
+fn is_path(tree: &Tree, name: &str) -> bool {
+    let is_plain = |next: char| next.is_ascii_alphanumeric() || "._-/".contains(next);
+    let last = name.rsplit('/').next().unwrap_or(name);
+    if !name.chars().all(is_plain) || name.starts_with(['/', '.', '-']) || last.starts_with('.') {
+        return false;
+    }
+    let is_source = SOURCES.iter().any(|end| last.ends_with(end));
+    let from_root = name.split_once('/').is_some_and(|(first, _)| tree.exists(first));
+    (is_source || from_root) && !name.split('/').any(|part| part == BUILT)
+}
+
+/// Whether there is a file or a folder whose path is this or ends so, below one of the folders if there are some.
+fn leads(tree: &Tree, name: &str, folders: &[&str]) -> bool {
+    let name = name.trim_end_matches('/');
+    if name.contains('/') && tree.exists(name) {
+        return true;
+    }
+    let ends_so = |path: &str| format!("/{path}/").contains(&format!("/{name}/"));
+    tree.files().any(|(path, _)| match folders {
+        [] => ends_so(path),
+        folders => folders
+            .iter()
+            .filter_map(|folder| inside(path, folder))
+            .any(ends_so),
+    })
+}
+
+/// What follows in a path after a folder that is named by its path or the end of it.
+fn inside<'a>(path: &'a str, folder: &str) -> Option<&'a str> {
+    let from_root = path.strip_prefix(folder).and_then(|rest| rest.strip_prefix('/'));
+    from_root.or_else(|| Some(path.split_once(&format!("/{folder}/"))?.1))
 }
 
 /// What is wrong with a link in the document at `path`; nothing for links to other hosts.
@@ -231,6 +304,41 @@ mod tests {
                 [format!("README.md:{fault}")],
                 "{text}"
             );
+        }
+    }
+
+    #[test]
+    fn files_in_backticks_are_there() {
+        let files = |path: &str, text: &str| {
+            let sources = [
+                "lab/arm/src/peer.rs",
+                "lab/arm/src/zones/mod.rs",
+                "lab/camera/src/pan.rs",
+            ];
+            let mut files: Vec<_> = sources.iter().map(|path| (*path, "")).collect();
+            files.push((path, text));
+            found(check, &files)
+        };
+        for right in [
+            "`peer.rs`, `zones/mod.rs`, `lab/arm`, `lab/arm/`, `lab/arm/src/peer.rs`",
+            "| `lab/arm` | `peer.rs`, `lab/camera/src/pan.rs`, and `zones` |",
+            "| `lab/arm`, `lab/camera` | `pan.rs` |",
+            "| `zones` | `mod.rs` |",
+            "| pans, `lab/arm` | `pan.rs` |",
+            "`.rs`, `*.py`, `/lab/x`, `a/b`, `lab/dist`, `x.toml`, `lab/arm x`",
+            "```\n`gone.rs`\n```",
+        ] {
+            assert_eq!(files("docs/a.md", right), NONE, "{right}");
+        }
+        for (wrong, fault) in [
+            ("`gone.rs`", "1: `gone.rs`"),
+            ("\n`lab/gone`", "2: `lab/gone`"),
+            ("`arm/peer.rs`", "1: `arm/peer.rs`"),
+            ("| `lab/arm` | `pan.rs` |", "1: `pan.rs`"),
+        ] {
+            let fault = format!("docs/a.md:{fault} leads nowhere: there is no such file");
+            assert_eq!(files("docs/a.md", wrong), [fault], "{wrong}");
+            assert_eq!(files("docs/bugs.md", wrong), NONE, "{wrong}");
         }
     }
 
