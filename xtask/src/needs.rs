@@ -233,9 +233,9 @@ pub(crate) const FOR_DIST: &[Need] = &[
     GIT,
     Need {
         what: "binutils",
-        detect: ("strip", &["--version"]),
+        detect: ("objcopy", &["--version"]),
         source: Source::Debian("binutils"),
-        why: "takes the symbols from the programs, and tells what they are linked with",
+        why: "parts the programs from their debug info, and tells what they are linked with",
     },
     Need {
         what: "dpkg",
