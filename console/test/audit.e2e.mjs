@@ -92,7 +92,7 @@ test("filters are asked of the hub, and stand in the address", async () => {
   await line("refused", "bob").waitFor();
   await lines.filter({ hasNotText: /refused[\s\S]*bob/ }).first().waitFor({ state: "detached" });
   await go(page, "#/audit?user=carol&what=refused&context=/camera");
-  await page.getByText("No fact fits these filters.").waitFor();
+  await page.getByText("No fact matches these filters.").waitFor();
   await page.getByRole("button", { name: "Clear filters" }).click();
   await address("#/audit");
   await shows(/^200 lines/);
@@ -147,7 +147,7 @@ test("thousands of facts: back in time, and bounded", async () => {
     await page.getByRole("button", { name: "Older facts" }).click();
     if (shown <= 5000) await shows(new RegExp(`^${shown.toLocaleString("en")} lines`));
   }
-  await page.getByText("The page shows 5,000 facts at most").waitFor();
+  await page.getByText("The page shows at most 5,000 facts").waitFor();
   assert.ok((await lines.count()) < 60);
   await page.getByText("not following").waitFor();
   await page.getByRole("button", { name: "To the newest" }).click();

@@ -150,7 +150,7 @@ test("a page that is not on the list is refused in words", async (t) => {
   await page.locator("mom-login").getByText(words).waitFor();
   await page.locator("mom-status").getByText(words).waitFor();
   const told = await page.waitForFunction(() => window.refused);
-  assert.match(await told.evaluate(({ text }) => text), /The hub answers, but not to pages of/);
+  assert.match(await told.evaluate(({ text }) => text), /The hub refuses pages from/);
 });
 
 test("the example: log in, hold the token, stop, log out", async (t) => {

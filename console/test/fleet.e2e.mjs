@@ -88,7 +88,7 @@ test("all robots are in the table, which sorts and filters; rows are selected by
   await row(1).waitFor({ state: "detached" });
   await fleet.getByText("3 of 10 robots").waitFor();
   await filter.fill("lost");
-  await fleet.getByText("No robot fits the filter.").waitFor();
+  await fleet.getByText("No robot matches the filter.").waitFor();
   await fleet.getByRole("button", { name: "Show all" }).click();
   await row(1).waitFor();
 });
@@ -222,7 +222,7 @@ test("what lets robots go asks, names who stopped which of them and why, and is 
   await bob.ask("context", "stop", "/fleet/8/robot", { reason: "smoke" });
   await question.getByRole("button", { name: "Free these 2" }).click();
   await fleet.getByText("Let go: robot 7.").waitFor();
-  await fleet.getByRole("alert").filter({ hasText: "let go robot 8" }).getByText(/bob.* has stopped it again since: smoke/).waitFor();
+  await fleet.getByRole("alert").filter({ hasText: "let go robot 8" }).getByText(/bob.* stopped it again: smoke/).waitFor();
   await row(7).getByText("standing").waitFor();
   await row(8).getByText("stopped").waitFor();
 

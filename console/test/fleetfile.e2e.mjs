@@ -58,7 +58,7 @@ test("an operator adds, changes and removes a robot, and is told what is wrong a
   const address = dialog.getByRole("textbox", { name: "Address" });
   assert.equal(await dialog.getByRole("textbox", { name: "Unit number" }).inputValue(), "3");
   await dialog.getByRole("button", { name: "Add it" }).click();
-  await dialog.getByText("Say where the robot listens").waitFor();
+  await dialog.getByText("Enter the robot's address").waitFor();
   await address.fill(addresses[0]);
   await dialog.getByRole("button", { name: "Add it" }).click();
   await dialog.getByText("is already the address of unit 1").waitFor();

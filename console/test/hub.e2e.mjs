@@ -182,7 +182,7 @@ test("peers are those of mom top; an operator expels one, others are told why th
   const alice = await login(t, lab, "alice", "#/peers");
   const toExpel = async (page) => {
     await page.locator("mom-peers").getByRole("button", { name: `Expel ${bob.name}` }).click();
-    await page.getByLabel("What it is told").fill("time to go");
+    await page.getByLabel("Message to the peer").fill("time to go");
     await page.getByLabel(/^For /).fill("0.001");
     await page.getByRole("button", { name: "Expel it" }).click();
   };
@@ -303,7 +303,7 @@ test("content of hostile depth and size is bounded", async (t) => {
   await watch.getByRole("option").filter({ hasText: "wide" }).click();
   await watch.getByText("3,800 more").waitFor();
   await watch.getByRole("option").filter({ hasText: "long" }).click();
-  await watch.getByText("A part was left out because it is large.").waitFor();
+  await watch.getByText("A large part was left out.").waitFor();
   await watch.getByRole("option").filter({ hasText: "proto" }).click();
   await watch.getByText("mine").first().waitFor();
 });

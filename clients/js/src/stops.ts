@@ -52,7 +52,7 @@ export interface StopOptions {
   only?: string[];
 }
 
-/** What a device said: that it obeys (`stopped`, `unstopped`), nothing in time (`silent`), or that its connection is lost: it finds the stop when it comes back. */
+/** What a device said: that it obeys (`stopped`, `unstopped`), nothing in time (`silent`), or that its connection is lost: it gets the stop when it comes back. */
 export type DeviceWord = "stopped" | "unstopped" | "silent" | "lost";
 
 /** A device, and what it said. */
