@@ -161,7 +161,7 @@ test("an operator makes and deletes a context; others are told by which rule the
   await row(alice, "/workshop").waitFor({ state: "detached" });
   // What stands in the configuration cannot be deleted, and the page says so.
   await row(page, "/chat").click();
-  await context.getByText("It stands in the hub's configuration").waitFor();
+  await context.getByText("It is part of the hub's configuration").waitFor();
   assert.equal(await context.getByRole("button", { name: "Delete" }).getAttribute("aria-disabled"), "true");
 });
 

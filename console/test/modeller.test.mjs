@@ -89,7 +89,7 @@ test("each mistake stands at its field", () => {
     [{ ...wheel, count: "3", unit: "m, s" }, "unit", /2 values for 3 numbers/],
     [{ ...wheel, scale: "0" }, "scale", /1e-12/],
     [{ ...wheel, range: "5" }, "range", /not a range/],
-    [{ ...wheel, range: "5..1" }, "range", /upside down/],
+    [{ ...wheel, range: "5..1" }, "range", /reversed/],
     [{ ...wheel, range: "0..40000" }, "range", /i16 holds -32768 to 32767/],
     [{ ...wheel, range: "5..9" }, "safe", /set a safe value/],
     [{ ...wheel, range: "5..9", safe: "4" }, "safe", /4 is outside/],

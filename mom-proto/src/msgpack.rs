@@ -58,7 +58,7 @@ fn encode_text(text: &str, out: &mut Vec<u8>) -> Result<(), WireError> {
         None => put::write_str(out, text).map_err(|_| too_long()),
         Some(at) => {
             let character = text[at..].chars().next().unwrap_or_default();
-            let text = format!("the character {character:?} may not stand in a string");
+            let text = format!("the character {character:?} is not allowed in a string");
             Err(WireError::new(Code::NOT_ENCODABLE, text))
         }
     }

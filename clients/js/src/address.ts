@@ -47,9 +47,9 @@ export function doorsOf(addresses: string, secret: boolean, secureOnly: boolean)
 function doorsOfOne(address: string, secret: boolean, secureOnly: boolean): Door[] {
   const [, scheme = "", host = "", port, query = ""] = ADDRESS.exec(address) ?? [];
   const polled = query === "poll=1";
-  if (!host || (query && !polled)) throw local("bad-path", `${JSON.stringify(address)} is not an address of a hub: write mom://HOST, wss://HOST or https://HOST`);
+  if (!host || (query && !polled)) throw local("bad-path", `${JSON.stringify(address)} is not the address of a hub: write mom://HOST, wss://HOST or https://HOST`);
   const named = port === undefined ? undefined : Number(port);
-  if (named !== undefined && (named < 1 || named > 65535)) throw local("bad-path", `${address}: a port is a number from 1 to 65535`);
+  if (named !== undefined && (named < 1 || named > 65535)) throw local("bad-path", `${address}: a port must be a number from 1 to 65535`);
   const door = (kind: Door["kind"], tls: boolean, usual: number): Door => ({ kind, tls, host, port: named ?? usual, polled });
   let doors: Door[];
   switch (scheme) {

@@ -21,7 +21,7 @@ export interface Held {
 
 /** Words of the device for a stop. */
 function stopText(by: string | undefined, reason: string | undefined): string {
-  return `stopped by ${by ?? "somebody"}${reason ? `: ${reason}` : ""}`;
+  return `stopped by ${by ?? "a peer"}${reason ? `: ${reason}` : ""}`;
 }
 
 /**

@@ -78,7 +78,7 @@ export class Outbox {
   put(parcel: Parcel, marks: Marks = {}): void {
     const entry = this.#entry(parcel, marks);
     const size = entry.frame.length - 4;
-    if (size > this.parcelLimit) throw local("too-large", `the parcel has ${size} bytes, and the hub takes ${this.parcelLimit}`);
+    if (size > this.parcelLimit) throw local("too-large", `the parcel has ${size} bytes; the hub accepts at most ${this.parcelLimit}`);
     if (this.#away && entry.perishable) throw dropped(parcel, "lost");
     if (entry.lane === STOP) for (const unstop of this.take((waiting) => withdraws(parcel, waiting.parcel))) this.lost(unstop, "withdrawn");
     this.#add(entry);

@@ -15,7 +15,7 @@ const LONGEST = 20_000;
 const PATIENCE = 10_000;
 /** Bytes that were sent and are not here after so long are held back by somebody who waits for the answer's end. */
 const HELD_BACK = 1000;
-const HELD = new Error("somebody holds the stream back");
+const HELD = new Error("a proxy holds the stream back");
 /** Requests that fail are made again after these times; then the tunnel is broken. */
 const AGAIN = [50, 250, 1000, 3000];
 

@@ -95,7 +95,7 @@ export const context = {
   remove: "Delete",
   removeTitle: (path: string) => `Delete ${path}?`,
   removeText: (kind: string) => (kind === "session" ? "All contexts in it are deleted too, and owners lose their tokens in it." : kind === "token" ? "Its owner loses it; a channel that it guards is no longer guarded." : "Its members leave it, and the messages it keeps are lost."),
-  permanent: "It stands in the hub's configuration, so it cannot be deleted here.",
+  permanent: "It is part of the hub's configuration, so it cannot be deleted here.",
   removing: "Delete it",
   make: "Create here",
   makeTitle: "Create a context",

@@ -72,7 +72,7 @@ export const stop = {
   standing: (by: string, user: string | undefined, reason: string | undefined) => `Stopped by ${by}${user === undefined || by.startsWith(user) ? "" : ` (${user})`}${reason ? `: ${reason}` : ""}`,
   since: (ms: number) => `since ${timeOfDay(ms)}`,
   places: (first: string, count: number) => (count > 1 ? `${first} and ${count - 1} more` : first),
-  somebody: "somebody",
+  somebody: "a peer",
   newer: (by: string, reason: string | undefined) => `stays stopped: ${by} stopped it again${reason ? `: ${reason}` : ""}`,
   lostDevice: "its connection is lost: it gets the stop when it comes back",
   deniedOne: "you may not stop it",

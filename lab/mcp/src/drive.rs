@@ -50,7 +50,7 @@ impl Wish {
             ("wait_seconds", self.wait_seconds, 600),
         ] {
             if number.is_some_and(|number| number == 0 || number > most) {
-                return Err(format!("`{name}` is a number from 1 to {most}"));
+                return Err(format!("`{name}` must be a number from 1 to {most}"));
             }
         }
         Ok(())

@@ -418,8 +418,8 @@ mod tests {
         );
         for (option, value, words) in [
             ("--side", "above", "is not a side: right, left, front or back"),
-            ("--for", "2d", "a time is a number with ms, s, m or h"),
-            ("--for", "0s", "it is a time from 1ms to 1h"),
+            ("--for", "2d", "a time must be a number with ms, s, m or h"),
+            ("--for", "0s", "it must be a time from 1ms to 1h"),
             ("--commands", "0", "0 is not in 1..=10000"),
         ] {
             let error = Line::try_parse_from(["servo", "red", "green", option, value]).unwrap_err();

@@ -149,7 +149,7 @@ impl Latch {
             return Reaction::Halt;
         }
         let held = Held::Stopped {
-            by: by.unwrap_or_else(|| "somebody".to_owned()),
+            by: by.unwrap_or_else(|| "a peer".to_owned()),
             reason,
             number: self.number,
         };

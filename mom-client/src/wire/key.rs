@@ -46,7 +46,7 @@ impl Key {
     /// `Local` with `bad-encoding` for text that is no such key.
     pub fn from_pem(pem: &str) -> Result<Key, ClientError> {
         // The reason only names types of ASN.1.
-        let wanted = "this is not a private key of Ed25519 in PEM (-----BEGIN PRIVATE KEY-----)";
+        let wanted = "this is not an Ed25519 private key in PEM (-----BEGIN PRIVATE KEY-----)";
         SigningKey::from_pkcs8_pem(pem)
             .map(|key| Key { key })
             .map_err(|_| local(Code::BAD_ENCODING, wanted))

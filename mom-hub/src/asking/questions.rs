@@ -143,7 +143,7 @@ impl Questions {
         }
         let peer = request.peer;
         let Some(user) = world.peers.get(peer).map(|peer| Arc::clone(&peer.facts.user)) else {
-            return world.fault("a peer that is not there has to wait for an answer");
+            return world.fault("deferring the request of a peer that does not exist");
         };
         if let Err(error) = self.check_waiting(peer, &user) {
             request.refuse(world, (&error.rule(&label), None), out);
@@ -297,7 +297,7 @@ impl Questions {
         let bytes = self.waiting_of(peer).bytes;
         let first = self.send_of(peer, channel);
         let Some(pending) = first.and_then(|question| self.pending.get_mut(&question)) else {
-            return Err(world.faulted("a send waits behind one that does not wait"));
+            return Err(world.faulted("queuing a send behind one that is not waiting"));
         };
         let user = self.of_user.entry(Arc::clone(&pending.user)).or_default();
         if pending.behind.len() >= MOST_SENDS || bytes >= MOST_BYTES || user.bytes >= MOST_BYTES_OF_USER {
@@ -418,7 +418,7 @@ fn push_consult(
     out: &mut Vec<Effect>,
 ) {
     let Some(facts) = world.peers.get(deferred.peer).map(|peer| &peer.facts) else {
-        return world.fault("somebody is asked about a peer that is not there");
+        return world.fault("asking a manager about a peer that does not exist");
     };
     let mut content = Map::new().with("verb", deferred.verb.word());
     for (key, value) in peer_map(facts) {

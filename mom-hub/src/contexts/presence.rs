@@ -20,7 +20,7 @@ impl World {
         out: &mut Vec<Effect>,
     ) {
         let Some(context) = self.tree.get(number) else {
-            return self.fault("a context that is not there was joined or left");
+            return self.fault("reporting a join or leave of a context that does not exist");
         };
         let (presence, next_count) = (context.presence, context.next_count);
         if presence == Presence::None {

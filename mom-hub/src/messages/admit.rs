@@ -259,7 +259,7 @@ fn check_guard(
 ) -> Result<Option<u64>, WireError> {
     let name = &*parcel.name;
     if name == event::HALT {
-        let text = "halt is the hub's word for the safe state; a peer that wants a device to halt sends stop";
+        let text = "only the hub may send halt; send stop to stop a device";
         return Err(WireError::new(Code::DENIED, text).slot("name"));
     }
     let Some(guard) = route.guard.as_ref().filter(|guard| guard.covers(name)) else {

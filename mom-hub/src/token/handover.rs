@@ -80,7 +80,7 @@ pub(crate) fn not_again(now: Micros, until: Micros, name: &str) -> Result<(), Wi
     if now >= until {
         return Ok(());
     }
-    let text = format!("{name} was asked the same before, a short while ago");
+    let text = format!("{name} was asked the same a short while ago");
     Err(WireError::new(Code::TRY_LATER, text)
         .rule("not again and again")
         .retry_after(Duration::from_micros(until - now)))

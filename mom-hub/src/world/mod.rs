@@ -167,7 +167,7 @@ impl World {
     /// Sets the token's timer to its deadline as it is now.
     pub(crate) fn retime(&mut self, number: ContextNumber) {
         let Some(token) = self.tree.token_mut(number) else {
-            return self.fault("a timer is set for a token that is not there");
+            return self.fault("setting a timer for a token that does not exist");
         };
         let (old, new) = (token.timer, token.deadline());
         token.timer = new;

@@ -284,7 +284,7 @@ impl JsonWriter {
                 _ => {
                     let c = text[special..].chars().next().unwrap_or_default();
                     return Err(not_encodable(format!(
-                        "the character {c:?} may not stand in a string"
+                        "the character {c:?} is not allowed in a string"
                     )));
                 }
             };

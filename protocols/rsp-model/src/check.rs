@@ -486,9 +486,9 @@ fn lookup<'d>(
     found.ok_or_else(|| {
         let few = candidates.get(..8).unwrap_or(candidates);
         let words = match unknown(what, &name.value, candidates) {
-            // So many names help nobody.
+            // A longer list does not help.
             long if long.len() > 400 => format!(
-                "there is no {what} `{}`; there are `{}` and others",
+                "there is no {what} `{}`; expected one of `{}` and others",
                 quoted(&name.value),
                 few.join("`, `")
             ),

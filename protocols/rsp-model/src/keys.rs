@@ -38,7 +38,7 @@ pub(crate) fn number(item: &At<Item>) -> Result<f64, Found> {
         return Err(Found::new(
             Fault::Number,
             &item.span,
-            "a finite number is expected here",
+            "expected a finite number",
         ));
     }
     // There is one zero.

@@ -73,7 +73,7 @@ fn unknown_keys_and_words_are_refused_with_the_nearest_known() {
         "kind = \"motor\"",
         Fault::UnknownWord,
         (5, 8),
-        "there is no kind of element `motor`; there are `effector`, `sensor`, `monitor`, `command`, `module`, `event`, `memory-command`, `memory-event`",
+        "there is no kind of element `motor`; expected one of `effector`, `sensor`, `monitor`, `command`, `module`, `event`, `memory-command`, `memory-event`",
     );
     in_element(
         "kind = \"sensor\"\ntype = \"ui16\"",
@@ -85,7 +85,7 @@ fn unknown_keys_and_words_are_refused_with_the_nearest_known() {
         "kind = \"sensor\"\ntype = \"double\"",
         Fault::UnknownWord,
         (6, 8),
-        "there is no type `double`; there are `u8`, `i8`, `u16`, `i16`, `u32`, `i32`, `f32`, `bytes`",
+        "there is no type `double`; expected one of `u8`, `i8`, `u16`, `i16`, `u32`, `i32`, `f32`, `bytes`",
     );
     in_effector(
         "motion = \"absolut\"",
@@ -133,27 +133,27 @@ fn values_of_another_type_are_refused() {
         (
             "name = 1\n",
             (1, 8),
-            "a text is expected here, and this is an integer",
+            "expected a text, found an integer",
         ),
         (
             "name = \"x\"\nid = \"1\"\n",
             (2, 6),
-            "an integer is expected here, and this is a text",
+            "expected an integer, found a text",
         ),
         (
             "name = \"x\"\nid = 1.5\n",
             (2, 6),
-            "an integer is expected here, and this is a number with a fraction",
+            "expected an integer, found a number with a fraction",
         ),
         (
             "element = 1\n",
             (1, 11),
-            "a list of tables is expected here, and this is an integer: write `[[element]]`",
+            "expected a list of tables, found an integer: write `[[element]]`",
         ),
         (
             "element = [1]\n",
             (1, 12),
-            "a table is expected here, and this is an integer: write `[[element]]`",
+            "expected a table, found an integer: write `[[element]]`",
         ),
     ] {
         check(text, Fault::Type, place, words);
@@ -162,19 +162,19 @@ fn values_of_another_type_are_refused() {
         "interpolate = 1",
         Fault::Type,
         15,
-        "true or false is expected here, and this is an integer",
+        "expected true or false, found an integer",
     );
     in_effector(
         "range = 5",
         Fault::Type,
         9,
-        "a list of two numbers is expected here, and this is an integer",
+        "expected a list of two numbers, found an integer",
     );
     in_effector(
         "safe = 2020-01-01",
         Fault::Type,
         8,
-        "a number is expected here, and this is a date",
+        "expected a number, found a date",
     );
 }
 
@@ -220,7 +220,7 @@ fn numbers_outside_what_is_possible_are_refused() {
         "scale = nan",
         Fault::Number,
         9,
-        "a finite number is expected here",
+        "expected a finite number",
     );
     in_effector(
         "rate = -1",
@@ -492,7 +492,7 @@ fn references_lead_to_elements_of_the_right_kind() {
         (
             "kind = \"module\"\nmembers = [\"wheel\", \"nobody\"]",
             (10, 21),
-            "there is no element `nobody`; there are `wheel`",
+            "there is no element `nobody`; expected `wheel`",
         ),
         (
             "kind = \"module\"\nmembers = [\"wheel\", \"wheel\"]",

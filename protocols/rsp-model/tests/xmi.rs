@@ -115,7 +115,7 @@ fn what_is_checked_in_toml_is_checked_in_xmi() {
         "id=\"eight\" period",
         Fault::Type,
         (36, 47),
-        "an integer is expected here, and this is a text",
+        "expected an integer, found a text",
     );
 }
 

@@ -55,7 +55,7 @@ class Options:
         # A hub refuses it as it refuses what it does not know: then there would be no link either.
         if self.heartbeat is not None and not _HEARTBEAT[0] <= self.heartbeat <= _HEARTBEAT[1]:
             least, most = _HEARTBEAT
-            raise LocalError("bad-content", f"a heartbeat is from {least:g} s to {most:g} s, not {self.heartbeat:g} s")
+            raise LocalError("bad-content", f"a heartbeat must be from {least:g} s to {most:g} s, not {self.heartbeat:g} s")
 
 
 class Driver:
@@ -349,7 +349,7 @@ class Driver:
         if content.get("resumed") is not True or not self.core.resume(content):
             # The two sides count differently: something would come twice, or never.
             self.core.lose_all("the hub has read parcels that differ from those sent")
-            raise ConnectionDownError("the hub resumed a link by counts that cannot be")
+            raise ConnectionDownError("the hub resumed a link with impossible counts")
         self.welcomed(reply)
         dropped = content.get("dropped")
         if isinstance(dropped, int) and dropped > 0:
@@ -418,7 +418,7 @@ class Driver:
         elif parcel.name == "ack" and core.link is not None:
             if not core.link.acknowledged(parcel.map()):
                 core.link = None
-                raise ConnectionDownError("the hub says that it has read other parcels than those that were sent")
+                raise ConnectionDownError("the hub reports having read other parcels than were sent")
             core.outbox.wake()
 
     def _acknowledge(self) -> None:

@@ -115,7 +115,7 @@ class Latch:
         if 0 < number <= self._lifted:
             # It was lifted before it came: the cause is an old one. To halt is never wrong.
             return Reaction("halt")
-        self._held = Held("stopped", f"stopped by {by or 'somebody'}" + (f": {reason}" if reason else ""))
+        self._held = Held("stopped", f"stopped by {by or 'a peer'}" + (f": {reason}" if reason else ""))
         return Reaction("stop", self._held.text)
 
     def _unstop(self, up_to: Optional[int]) -> Reaction:
