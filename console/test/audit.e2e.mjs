@@ -52,7 +52,7 @@ const status = () => page.locator("mom-audit").getByRole("status").first();
 /** What the page says of how much it shows. */
 const shows = (pattern) => status().filter({ hasText: pattern }).waitFor();
 
-/** Somebody asks for what nobody may have. */
+/** A user asks for what nobody may have. */
 async function refused(user, context) {
   const peer = await RawPeer.login(lab.host, user);
   await assert.rejects(peer.ask("context", "create", context, { kind: "session" }), /denied/);
@@ -72,7 +72,7 @@ test("following: what is new comes in, at the top only", async () => {
   await shows(/^200 lines/);
   await refused("bob", "/news");
   await line("refused", "bob", "/news", "denied").waitFor();
-  // Whoever reads further down stays there.
+  // A reader further down stays there.
   const before = await first();
   await box().evaluate((element) => (element.scrollTop = 1000));
   await page.locator(`tr[data-seq="${before}"]`).waitFor({ state: "detached" });

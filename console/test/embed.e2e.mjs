@@ -9,7 +9,7 @@ const POLICY = (files, hub, worker) =>
 
 const issuer = generateKeyPairSync("ed25519");
 
-/** What the page's own server makes for whoever is logged in there. */
+/** What the page's own server makes for a user logged in there. */
 function tokenOf(user, seconds) {
   const part = (value) => Buffer.from(JSON.stringify(value)).toString("base64url");
   const text = `${part({ alg: "EdDSA", typ: "JWT" })}.${part({ iss: "https://id.example.org", aud: "mom", sub: user, exp: Math.floor(Date.now() / 1000) + seconds })}`;

@@ -93,7 +93,7 @@ test("all robots are in the table, which sorts and filters; rows are selected by
   await row(1).waitFor();
 });
 
-test("a token that somebody else has is refused in words, with what can be done", async (t) => {
+test("a token that another peer owns is refused in words, with what can be done", async (t) => {
   const carol = await RawPeer.login(lab.host, "carol");
   t.after(() => carol.close());
   await carol.ask("context", "join", "/fleet");

@@ -125,7 +125,7 @@ test("what others say is text, and a message is sent with a receipt", async (t) 
   await page.getByLabel("Content", { exact: true }).fill("good morning");
   await page.locator("mom-watch").getByRole("button", { name: "Send" }).click();
   await page.getByText("Taken by 2 receivers.").waitFor();
-  // It is paused as long as somebody reads.
+  // It is paused as long as the user reads.
   await page.locator("mom-watch").getByRole("button", { name: "Follow" }).click();
   await said.filter({ hasText: "good morning" }).waitFor();
   await page.getByLabel("Content as").selectOption("json");

@@ -97,7 +97,7 @@ test("a device that does not obey, and a STOP that reaches none, are notices", a
   await noted(guest, /Stop: \/: no device here obeys stop/, "warning");
 });
 
-test("a command that fails is a notice, whoever has sent it", async (t) => {
+test("a command that fails is a notice, whoever sent it", async (t) => {
   const alice = await lab.page("alice", { t });
   await open(alice);
   writeFileSync(join(lab.folder, "far.txt"), "move 5000 0 0 0 0\n");

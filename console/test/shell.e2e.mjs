@@ -39,7 +39,7 @@ test("the page is of the hub alone, within its policy, and small", async (t) => 
   await page.getByRole("button", { name: "Log in" }).waitFor();
   assert.deepEqual([...hosts], [new URL(lab.address).host]);
   assert.ok(isPreview || (bytes > 10_000 && bytes < 130 * 1024), `${bytes} bytes of the first load`);
-  // A script that somebody brought into the page does not run.
+  // A script that was injected into the page does not run.
   await page.evaluate(() => {
     const script = document.createElement("script");
     script.textContent = "window.broken = true";

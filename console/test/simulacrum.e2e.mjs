@@ -267,7 +267,7 @@ test("T is sent when the slider is let go, and is confirmed or not", async (t) =
   await release(mirror);
 });
 
-test("a token that somebody else has is refused in words", async (t) => {
+test("a token that another peer owns is refused in words", async (t) => {
   const bob = await RawPeer.login(hub.host, "bob");
   t.after(() => bob.close());
   await bob.ask("context", "join", "/cubo");

@@ -218,7 +218,7 @@ test("stops of single channels go around the link each, and one that nobody take
   assert.deepEqual([dumb.report().taken, dumb.report().over], [false, false]);
 });
 
-test("whoever has logged in, by whatever proof, can open the second connection", async () => {
+test("a user logged in by any proof can open the second connection", async () => {
   const { proofOf } = await load("worker/session.ts");
   const { privateKey } = await crypto.subtle.generateKey({ name: "Ed25519" }, false, ["sign", "verify"]);
   const address = "ws://hub";

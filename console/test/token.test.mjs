@@ -1,4 +1,4 @@
-// What a page knows of tokens: one state of each, and what is asked, whoever looks.
+// What a page knows of tokens: one state of each, and what is asked, for all panels.
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { load } from "./bundle.mjs";

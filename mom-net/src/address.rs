@@ -101,7 +101,7 @@ impl Address {
         };
         let ways = match here.is_private() {
             true => [with(false), with(true)].concat(),
-            // Whoever sees the id of a tunnel could take it over.
+            // Anyone who sees the id of a tunnel could take it over.
             false => [&with(true)[..], &with(false)[..2]].concat(),
         };
         let address = |(door, tls): (Door, bool)| Address {

@@ -99,7 +99,7 @@ pub(crate) enum Item<'a> {
     Map(usize),
 }
 
-/// Reads values item by item, so that whoever passes them on needs no memory for all of them.
+/// Reads values item by item, so that passing them on needs no memory for all of them.
 pub(crate) struct ItemReader<'a> {
     bytes: &'a Bytes,
     position: usize,

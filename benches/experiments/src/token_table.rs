@@ -55,7 +55,7 @@ struct Row {
     outcomes: Vec<Outcome>,
 }
 
-/// Somebody in the queue.
+/// A peer in the queue.
 #[derive(Debug)]
 struct Waiter {
     level: i32,

@@ -72,7 +72,7 @@ function doorsOfOne(address: string, secret: boolean, secureOnly: boolean): Door
   return doors;
 }
 
-/** A tunnel without TLS is taken from loopback only, since whoever sees its id could take it over. */
+/** A tunnel without TLS is taken from loopback only, since anyone who sees its id could take it over. */
 function all(door: (kind: Door["kind"], tls: boolean, usual: number) => Door, port: number | undefined, tls: boolean): Door[] {
   const doors = [door("websocket", true, PORT), door("websocket", false, PORT), door("tunnel", true, PORT), door("tunnel", false, PORT)];
   if (port === undefined) doors.push(door("websocket", true, 443), door("tunnel", true, 443));

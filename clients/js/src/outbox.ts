@@ -111,7 +111,7 @@ export class Outbox {
   #add(entry: Entry): void {
     const stop = entry.lane === STOP;
     let old = this.#named.get(entry.key);
-    // Its own answer is what somebody waits for.
+    // A caller waits for its own answer.
     if (old && (this.#open.has(old) || (stop && old.awaited))) old = undefined;
     const list = this.#barrier && !stop ? this.#behind : (this.#lanes.get(entry.lane) ?? []);
     const place = old && old.lane === entry.lane ? list.indexOf(old) : -1;

@@ -44,7 +44,7 @@ export function stopSlot({ extra }: Parcel): number | undefined {
 
 /** Of a stop or an unstop. */
 export interface StopOptions {
-  /** Why, for whoever finds the devices stopped. */
+  /** Why, for anyone who finds the devices stopped. */
   reason?: string;
   /** For how many ms the hub waits for the devices' word, at most 10 000; 0 for not at all; 1000 unless said. */
   within?: number;

@@ -27,7 +27,7 @@ export interface WireOptions {
   compress?: boolean;
 }
 
-/** One connection to a hub: parcels both ways. Until somebody takes it, what comes waits. */
+/** One connection to a hub: parcels both ways. Until it is taken, what comes waits. */
 export class Wire implements Heard {
   pipe!: Pipe;
   /** Called before a pong. */

@@ -61,7 +61,7 @@ async function device(t, options = {}, settings = {}) {
   };
   const client = await connect(hub.url, { user: "alice", guest: true, webSocket: WebSocket, link: true, ...options });
   t.after(() => client.close());
-  // Somebody else of this client hears the channel already.
+  // Another subscriber of this client hears the channel already.
   if (settings.shared) void (await client.channel("/robot/arm")).events();
   const arm = await client.obey("/robot/arm", { halt: (why) => told.push(`halt: ${why}`), move: (command) => told.push(command), free: () => told.push("free"), state: () => ({ pose: told.length }) });
   const say = (name, more = {}) => hub.link.say({ family: "message", name, context: "/robot/arm", sender: "bob", ...more });

@@ -185,7 +185,7 @@ async def test_what_was_not_read_is_sent_again_before_all_that_is_new(hub: FakeH
 
 
 async def test_what_is_meant_for_the_moment_is_not_said_after_a_loss(hub: FakeHub) -> None:
-    """What had left may have been heard, and what had not is lost; whoever waits for an answer hears so."""
+    """What had left may have been heard, and what had not is lost; tasks that wait for an answer are told."""
     async with connect(hub) as client:
         channel = await client.channel("/c")
         hub.replies["join"] = {"kind": "token"}

@@ -15,7 +15,7 @@ export interface Waiter {
   level: number;
 }
 
-/** Somebody asks this page for a token, which it owns. */
+/** A peer asks this page for a token, which it owns. */
 export interface Asked {
   path: string;
   peer: string;

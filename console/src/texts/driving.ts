@@ -282,7 +282,7 @@ export const notices = {
   clear: "Clear",
   copy: "Copy all",
   code: "Code",
-  /** What went wrong in a channel, with a command of somebody if `peer` says of whom. */
+  /** What went wrong in a channel, with a command of `peer` if that is given. */
   trouble: (path: string, peer: string | undefined, text: string) => (peer === undefined ? `${path}: ${text}` : `${path}: a command of ${peer} failed: ${text}`),
   back: "The link to the hub is back.",
   count: (shown: number, all: number) => (shown === all ? `${all}` : `${shown} of ${all}`),

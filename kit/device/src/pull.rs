@@ -44,7 +44,7 @@ impl Pull {
         self.due = now.saturating_add(self.wait);
     }
 
-    /// Has it ask as soon as it has nothing to do, as its request was answered or there is somebody else to ask.
+    /// Has it ask as soon as it has nothing to do, as its request was answered or there is another owner to ask.
     pub(crate) fn renew(&mut self, now: DeviceTime) {
         self.asked = None;
         self.due = now;

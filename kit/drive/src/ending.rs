@@ -44,7 +44,7 @@ pub async fn insist<T, Asked: Future<Output = ()>>(
 pub enum Halt {
     /// It has said that its command has ended.
     Confirmed,
-    /// It has said so after a `stop` only, which holds until somebody lets it go.
+    /// It has said so after a `stop` only, which holds until an unstop.
     Stopped,
     /// It has said nothing.
     Silent,

@@ -221,7 +221,7 @@ impl CalibrationFile {
     }
 }
 
-/// Whoever reads at any time, or after a crash, finds the old or the new whole.
+/// A reader at any time, or after a crash, finds the old or the new whole.
 fn write(calibration: &Calibration, path: &Path) -> io::Result<()> {
     let mut name = path.to_owned().into_os_string();
     name.push(".new");

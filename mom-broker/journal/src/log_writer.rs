@@ -162,7 +162,7 @@ impl<S: Write> WholeLines<S> {
                 Ok(0) => break,
                 Ok(more) => written += more,
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                // Somebody who shares it has made it so.
+                // Another holder of it has made it so.
                 Err(error) if error.kind() == ErrorKind::WouldBlock => thread::sleep(AGAIN),
                 Err(_) => break,
             }

@@ -348,7 +348,7 @@ mod tests {
 
     type Guest = (Seat, oneshot::Receiver<WireError>);
 
-    /// Lets one in who has somebody told to go, or not.
+    /// Lets a connection in, for which another may be told to go.
     fn enter(doors: &Arc<AdmissionLimiter>, from: u8) -> Guest {
         let (seat, told, evicted) = doors.enter(address(from)).expect("let in");
         if let Some(evicted) = evicted {

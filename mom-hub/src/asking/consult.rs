@@ -117,7 +117,7 @@ impl World {
             asks: peer,
         };
         let verdict = match self.question((managing, wish), (peer, &facts), (&given, repeated), &others) {
-            // A manager of somebody else's making that panics must not end the hub, nor let anybody in.
+            // A third-party manager that panics must not end the hub, nor let anyone in.
             Some(question) => std::panic::catch_unwind(AssertUnwindSafe(|| manager.decide(&question)))
                 .unwrap_or_else(|_| {
                     let text = "the manager of this context failed, so access is denied";
@@ -131,7 +131,7 @@ impl World {
         verdict
     }
 
-    /// What the manager of a context knows of it; nothing if it fails, as one of somebody else's making may.
+    /// What the manager of a context knows of it; nothing if it fails, as a third-party one may.
     pub(crate) fn facts(&self, number: ContextNumber) -> Map {
         self.ask_manager(number, |manager, path| manager.facts(path))
     }

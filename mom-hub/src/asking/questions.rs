@@ -39,7 +39,7 @@ pub(crate) struct Due {
     pub(crate) parcel: Parcel,
     /// What managing peers and chairs have answered about it.
     pub(crate) answers: Vec<Heard>,
-    /// If it is a grab that waits in the queue, and somebody has to be asked before it is granted: its token and its ticket.
+    /// If it is a grab that waits in the queue, and a peer has to be asked before it is granted: its token and its ticket.
     pub(crate) waiter: Option<(ContextNumber, u64)>,
 }
 
@@ -328,7 +328,7 @@ impl Questions {
         std::iter::once(pending.request).chain(behind).collect()
     }
 
-    /// Refuses the waiting requests of a peer that goes: its connection may be somebody else's next.
+    /// Refuses the waiting requests of a peer that goes: its connection may be another user's next.
     pub(crate) fn refuse_all_of(&mut self, world: &mut World, peer: PeerId, out: &mut Vec<Effect>) {
         let own = self.of_peer.get(&peer).into_iter().flatten();
         let own: Vec<u64> = own.copied().collect();

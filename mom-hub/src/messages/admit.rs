@@ -31,7 +31,7 @@ pub enum Admission {
     /// It may pass, stamped, to these, if its sender has not used up this rate.
     Pass(Receivers, Option<Rate>),
     /// The hub has to decide: no verdict stands for a message of this name and age, a deadline has come on which it has
-    /// not acted yet, or it is from or for somebody whom the route does not know.
+    /// not acted yet, or it is from or for a peer that the route does not know.
     Consult,
 }
 

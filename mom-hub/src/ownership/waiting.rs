@@ -39,7 +39,7 @@ impl World {
         Ok(())
     }
 
-    /// Lets a grab wait on about which somebody was asked, with the answers that it has got, and has those behind it looked at.
+    /// Lets a grab wait on about which a peer was asked, with the answers that it has got, and has those behind it looked at.
     pub(crate) fn wait_on(&mut self, number: ContextNumber, ticket: u64, answers: &[Heard]) {
         let waiter = self.token_mut(number).and_then(|token| token.waiter_mut(ticket));
         let Some(waiter) = waiter else {
@@ -146,7 +146,7 @@ impl World {
                     continue;
                 }
                 Answer::Deny(denial) => self.explain(waiter.peer, &wish, &denial),
-                // Whoever has to be asked was not asked before, as the token could not be granted then.
+                // Those who have to be asked were not asked before, as the token could not be granted then.
                 Answer::Defer(_) => {
                     if let Some(token) = self.token_mut(number) {
                         token.set_asking(waiter.ticket, true);

@@ -22,7 +22,7 @@ const REMEMBERED: usize = 256;
 
 impl Token {
     /// Checks that the same peer was not offered the token, or asked for it, by the same one too often: each time both
-    /// are told, and nobody may fill somebody else's control lane.
+    /// are told, and nobody may fill another's control lane.
     ///
     /// # Errors
     /// `try-later`, with the time until then.

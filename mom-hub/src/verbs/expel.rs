@@ -84,7 +84,7 @@ fn keep_out(world: &mut World, number: ContextNumber, peer: PeerId, time: Micros
     Ok(())
 }
 
-/// Puts a peer out of a context and all below it; out of the root is out of the hub. Whoever has asked for it is
+/// Puts a peer out of a context and all below it; out of the root is out of the hub. The requester is
 /// answered.
 pub(crate) fn put_out(
     world: &mut World,

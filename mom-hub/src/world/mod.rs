@@ -61,7 +61,7 @@ pub(crate) struct World {
     pub(crate) last_waiter: u64,
     /// Tokens whose queues are to be looked at, because something else than their own release may let a waiter have them.
     pub(crate) stirred: BTreeSet<ContextNumber>,
-    /// Waiting grabs whose turn it is, and about which somebody has to be asked: token and ticket.
+    /// Waiting grabs whose turn it is, and about which a peer has to be asked: token and ticket.
     pub(crate) to_ask: Vec<(ContextNumber, u64)>,
     /// Which devices are stopped.
     pub(crate) stops: Stops,

@@ -173,7 +173,7 @@ impl TellPace {
     }
 }
 
-/// Somebody has had others told of it too often.
+/// A user has had others told of it too often.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct TooOften {
     terms: Terms,

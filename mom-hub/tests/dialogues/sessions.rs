@@ -346,7 +346,7 @@ fn a_stop_of_a_session_is_for_devices_that_are_away_with_their_channels() {
     assert_eq!(
         channels[1].get("guard"),
         Some(&true.into()),
-        "somebody is meant to be there"
+        "a device is meant to be there"
     );
     for name in ["rover", "chat"] {
         stage.say("alice", &format!("context create /lab/{name} kind=channel"));

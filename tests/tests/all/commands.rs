@@ -218,7 +218,7 @@ async fn a_token_is_given_for_a_while_and_for_good_or_not_at_all() {
 async fn an_owner_answers_at_its_terminal() {
     let desk = Desk::start("open").await;
     let grab = ["grab", "--answer", TOKEN];
-    // The answers wait until somebody asks.
+    // The answers wait until they are asked for.
     let alice = desk.run_as("alice", &grab, "n in a minute\ny\n");
     let asks = async {
         owned_by(&desk.carol, "alice").await;

@@ -88,7 +88,7 @@ async fn who_says_nothing_is_named() {
     mute.next_of(Family::Message, "stop").await;
     let word = Map::new().with("stopped", true);
     mute.send_parcel(&message("state", ARM, word)).await;
-    // Whoever is a device no more is not waited for.
+    // A peer that is no longer a device is not waited for.
     mute.ask(join(Map::new())).await.expect("a member");
     let output = mom(&lab, "alice", &["stop", ARM]).await;
     assert_eq!(told(&output), (Some(0), "/robot/arm: arm stands\n".to_owned()));

@@ -53,7 +53,7 @@ export class Device {
     return this.#latch.isStopped;
   }
 
-  /** Stops by itself, as at a bumper, until somebody lifts that. */
+  /** Stops by itself, as at a bumper, until a peer lifts that. */
   stopItself(why: string): void {
     this.#take(this.#latch.stopItself(why));
     this.#tellOwnStop();

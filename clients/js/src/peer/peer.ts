@@ -502,7 +502,7 @@ export class Peer {
     if (this.state.state === "closed") this.#check();
   }
 
-  /** A parcel will not be sent, or nobody can say whether it was read: whoever said it hears so. */
+  /** A parcel will not be sent, or nobody can say whether it was read: its sender is told. */
   #dropped({ parcel, awaited }: Entry, reason: string, cause?: MomError): void {
     const { id, context: path = "/", delivery } = parcel;
     this.guards.ended(id);

@@ -84,7 +84,7 @@ class Connection:
         connection = cls(transport, numbers)
         try:
             await transport.write(binary.PREFACE)
-            # Whoever takes connections is not a hub yet: its preface says so.
+            # A server that accepts connections need not be a hub: its preface says so.
             while not connection.decoder.began:
                 if not await connection._arrive():
                     raise ConnectionDownError(f"{address}: closed before anything was received")

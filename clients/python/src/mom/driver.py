@@ -107,7 +107,7 @@ class Driver:
         except MomError as failed:
             error = failed.wire or WireError("disconnected", str(failed))
         except Exception as failed:
-            # Whoever waits must hear of it.
+            # Waiting tasks must be told.
             LOG.exception("the client failed")
             error = WireError("disconnected", f"the client failed: {failed!r}")
         finally:
@@ -126,7 +126,7 @@ class Driver:
                 left = begin + grace - loop.time()
                 wait = reconnect.delay(attempt, last.retry_after if last else None, grace, left)
                 if core.link is not None and wait >= left:
-                    # Whoever has a token hears in time that it is lost.
+                    # An owner is told in time that its token is lost.
                     await asyncio.sleep(left)
                     wait -= max(0.0, left)
                     core.lose_all("the connection was lost for longer than the hub waits")

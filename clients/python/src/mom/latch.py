@@ -89,7 +89,7 @@ class Latch:
         return self._held is not None and self._held.word == "own"
 
     def stop_itself(self, why: str) -> Reaction:
-        """Stops by itself, until somebody lifts that."""
+        """Stops by itself, until a peer lifts that."""
         self._held = self._held or Held("own", f"stopped by itself: {why}")
         return Reaction("stop", why)
 

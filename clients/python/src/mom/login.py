@@ -57,7 +57,7 @@ class Key:
             raise LocalError("bad-encoding", f"{file}: {error.text}") from None
 
     def to_pem(self) -> str:
-        """The private key in PEM. Whoever reads it can log in as this user: keep it in a file of mode 0600."""
+        """The private key in PEM. Anyone who reads it can log in as this user: keep it in a file of mode 0600."""
         from cryptography.hazmat.primitives import serialization as forms
 
         written = self._private.private_bytes(

@@ -79,7 +79,7 @@ class Device:
         return self._latch.is_stopped
 
     def stop_itself(self, why: str) -> None:
-        """Stops by itself, as at a bumper, until somebody lifts that."""
+        """Stops by itself, as at a bumper, until a peer lifts that."""
         self._take(self._latch.stop_itself(why))
         self._say(self._tell_own_stop())
 

@@ -54,7 +54,7 @@ async def report(
             except (OSError, EOFError, asyncio.TimeoutError) as error:
                 LOG.debug("no report can be sent to %s:%d: %r", found.host, port, error)
     except Exception as error:
-        # Whoever reports an error must not get another one.
+        # Reporting an error must not raise another one.
         LOG.debug("sending a report failed: %r", error)
     return False
 

@@ -245,7 +245,7 @@ class TunnelTransport(Transport):
                 await self._changes()
 
     async def _next(self, requests: Requests) -> bytes:
-        """More of the stream; nothing at its end, or when somebody between holds it back: then it is asked for piece by piece."""
+        """More of the stream; nothing at its end, or when a proxy holds it back: then it is asked for piece by piece."""
         more = asyncio.ensure_future(requests.more())
         try:
             if self._polled:

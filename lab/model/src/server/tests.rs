@@ -157,7 +157,7 @@ fn what_is_seen_is_told_to_all_and_then_only_what_differs() {
     let mut bench = Bench::new();
     let told = bench.show(1.0, &lab());
     assert!(names(&told).iter().all(|name| *name == CHANGED) && !told.is_empty());
-    // Whoever follows has what the server has.
+    // A follower has what the server has.
     let mut follower = Objects::default();
     told.iter().for_each(|parcel| follower.apply(&parcel.value()));
     assert_eq!(follower.len(), 3);

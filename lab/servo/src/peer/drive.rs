@@ -264,7 +264,7 @@ impl Drive {
                 let name = error.get("name").and_then(Value::as_str).unwrap_or_default();
                 // The robot has not come to rest after its last owner: soon it has.
                 let name = if name == "changing-hands" { "busy" } else { name };
-                // A velocity that ended because the arm's program stood still, not because somebody has halted the arm.
+                // A velocity that ended because the arm's program stood still, not because the arm was halted.
                 let retry = error.get("retry").and_then(Value::as_bool) == Some(true);
                 let name = if name == "halted" && retry {
                     STOOD_STILL

@@ -44,7 +44,7 @@ const QUEUE: usize = 16 * 1024;
 /// How long a stopping broker waits for its facts to be durable.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// How long whoever reads the log waits for what was just noted.
+/// How long a reader of the log waits for what was just noted.
 const SOON: Duration = Duration::from_secs(1);
 
 /// Details of a connection that its facts do not carry.

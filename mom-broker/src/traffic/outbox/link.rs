@@ -147,7 +147,7 @@ impl Outbox {
         };
         if form != self.form() {
             link.paths = Some(paths);
-            // Whoever encodes for it from here on does so in the new form.
+            // Senders that encode for it from here on do so in the new form.
             self.form.store(place_of(form), Ordering::Relaxed);
             queue.change_form(form);
         }

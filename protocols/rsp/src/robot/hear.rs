@@ -334,7 +334,7 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
         Ok(())
     }
 
-    /// Somebody asks for a session.
+    /// A middle asks for a session.
     fn hear_hello(
         &mut self,
         now: u64,
@@ -399,7 +399,7 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
         }
     }
 
-    /// The watchdog: whoever says nothing commands nothing.
+    /// The watchdog: a silent middle commands nothing.
     pub(super) fn watch(&mut self, now: u64, body: &mut impl Body) {
         let silent = now.saturating_sub(self.fed);
         match self.phase {
