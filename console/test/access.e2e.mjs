@@ -51,7 +51,7 @@ after(async () => {
   await lab?.end();
 });
 beforeEach(async () => {
-  // What one test has opened or written is no matter of the next.
+  // What one test has opened or written does not concern the next.
   await go(page, "#/health");
   await page.locator("mom-access").waitFor({ state: "detached" });
   await page.evaluate(() => Object.keys(sessionStorage).forEach((key) => key.startsWith("mom what-if ") && sessionStorage.removeItem(key)));

@@ -48,7 +48,7 @@ test("what decided is told also where no rule did", () => {
   assert.equal(condition(answerOf({ answer: "deny", needs: ["ownership of /robot/token"] })), undefined);
 });
 
-test("an answer that nobody knows is no yes", () => {
+test("an unknown answer is not a yes", () => {
   const { answerOf } = answers;
   assert.equal(answerOf({ answer: "perhaps", allow: true }).word, "deny");
   assert.equal(answerOf(undefined).word, "deny");

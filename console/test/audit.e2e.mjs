@@ -39,7 +39,7 @@ before(async () => {
 });
 after(() => lab?.end());
 beforeEach(async () => {
-  // What one test has set is no matter of the next.
+  // What one test has set does not concern the next.
   await go(page, "#/health");
   await page.locator("mom-audit").waitFor({ state: "detached" });
 });

@@ -202,7 +202,7 @@ test("who drives gets new pictures though nothing moves", async (t) => {
   assert.ok((await shown()) <= 1);
   await page.locator("mom-token").getByRole("button", { name: "Grab" }).click();
   await until(page, async () => (await shown()) >= 4);
-  // It is no older than a second.
+  // It is at most a second old.
   await camera.locator(".age .warning").waitFor({ state: "detached" });
   await page.locator("mom-token").getByRole("button", { name: "Give back" }).click();
 });

@@ -72,7 +72,7 @@ async function device(t, options = {}, settings = {}) {
 test("a device that is put out of its channel halts, says why it may not move, and obeys nothing that comes after it", async (t) => {
   const { hub, client, arm, told, say } = await device(t);
   await eventually(() => arm.mayMove() === null);
-  // Another one that is put out is no matter of this one.
+  // Another one that is put out does not concern this one.
   hub.link.say({ family: "event", name: "expelled", context: "/robot/arm", sender: "hub", content: { peer: "bob", text: "off" } });
   say("command", { content: "before" });
   hub.link.say({ family: "event", name: "expelled", context: "/robot/arm", sender: "hub", content: { peer: client.name, text: "arm~2 is the device here now" } });

@@ -291,7 +291,7 @@ async def test_what_waits_for_room_at_a_loss_is_not_said_after_it(hub: FakeHub, 
 
         monkeypatch.setattr(client._driver._connection, "write", stuck)
         client._core.outbox.most = 1
-        # This hub acknowledges nothing, which is no matter here.
+        # This hub acknowledges nothing, which does not matter here.
         monkeypatch.setattr(client._core.outbox, "permits", lambda entry: True)
         for number in range(2):
             await channel.send("note", number)

@@ -162,7 +162,7 @@ async def test_a_device_learns_from_a_halt_which_token_guards_it_from_now_on(rob
 
 async def test_a_device_that_is_put_out_of_its_channel_halts_and_says_why(robot: Robot) -> None:
     await robot.start()
-    # Another one that is put out is no matter of this one.
+    # Another one that is put out does not concern this one.
     robot.tell("expelled", peer="bob", text="off")
     robot.say("command", "before")
     robot.tell("expelled", peer=robot.client.name, text="arm~2 is the device here now")
@@ -272,7 +272,7 @@ async def test_a_stop_behind_more_than_it_keeps_is_obeyed(robot: Robot) -> None:
     await robot.until(lambda: robot.arm.is_stopped and "halt: stopped by bob: smoke" in robot.told)
     await robot.settled()
     assert robot.said("state")[-1]["stop"] == 7
-    # It has missed some, and what it missed is no more than that stop.
+    # It has missed some, and it missed only that stop.
     assert robot.said("stop") == [] and any("it has missed" in str(word) for word in robot.told)
 
 

@@ -117,7 +117,7 @@ mod tests {
         };
         assert_eq!(insist(ask, pending::<()>()).await, None);
         assert_eq!(asked, TIMES);
-        // One that hangs is no reason to wait longer, and an answer ends it.
+        // A request that hangs does not prolong the wait, and an answer ends it.
         let begun = tokio::time::Instant::now();
         assert_eq!(insist(pending, pending::<()>()).await, None);
         assert_eq!(begun.elapsed(), REPEATED * TIMES);

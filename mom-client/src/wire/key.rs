@@ -43,7 +43,7 @@ impl Key {
     /// Reads PKCS#8 in PEM, as `mom keygen` and `openssl genpkey -algorithm ed25519` write it.
     ///
     /// # Errors
-    /// `Local` with `bad-encoding` for text that is no such key.
+    /// `Local` with `bad-encoding` for text that is not such a key.
     pub fn from_pem(pem: &str) -> Result<Key, ClientError> {
         // The reason only names types of ASN.1.
         let wanted = "this is not an Ed25519 private key in PEM (-----BEGIN PRIVATE KEY-----)";

@@ -144,7 +144,7 @@ impl World {
         }
     }
 
-    /// Lets a channel keep the fence of its token, which is no more.
+    /// Lets a channel keep the fence of its token, which was deleted.
     fn note_lost_fence(&mut self, channel: ContextNumber, fence: Fence) {
         let role = self.tree.get_mut(channel).map(|context| &mut context.role);
         if let Some(Role::Channel(channel)) = role

@@ -206,7 +206,7 @@ fn lose_guarding(world: &mut World, channel: ContextNumber, new: &Role, out: &mu
 }
 
 /// Makes the managers of peers' contexts anew, because their names may mean something else now. A context whose manager
-/// is no more is closed.
+/// was removed is closed.
 fn renew_managers(world: &mut World) {
     let made = world.tree.iter().filter(|context| !context.permanent);
     let made: Vec<(ContextNumber, Value)> = made

@@ -422,7 +422,7 @@ impl Observer {
     }
 }
 
-/// What is no news for anybody.
+/// What is reported to nobody.
 fn is_quiet(effect: &Effect) -> bool {
     matches!(effect, Effect::Route(_) | Effect::Audit(_))
 }

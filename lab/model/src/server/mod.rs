@@ -45,7 +45,7 @@ const UNANSWERED: i64 = 5_000_000;
 const FUTURE: i64 = 1_000_000;
 /// µs between two tellings that objects were seen where they were.
 const SEEN_PERIOD: i64 = 1_000_000;
-/// What alone is no news at once.
+/// What is not reported at once by itself.
 const MINOR: [&str; 4] = ["name", "seen", "error", "cameras"];
 
 /// A block that the model looks for.

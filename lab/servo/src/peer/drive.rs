@@ -195,7 +195,7 @@ impl Drive {
                 if let Ok(state) = from_value::<RobotState>(parcel.value()) {
                     self.holding = state.holding.is_some();
                     self.moves = state.moving;
-                    // A state that is told again, as to who comes or for a new owner, is no newer: cameras show it already.
+                    // A state that is told again, as to who comes or for a new owner, is not newer: cameras show it already.
                     if state.seq != self.seq {
                         self.seq = state.seq;
                         self.stated = hub_now(&self.links.client) - self.age(parcel);

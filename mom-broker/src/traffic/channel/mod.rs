@@ -151,7 +151,7 @@ impl Channel {
         state.follow_history(&old, clock)
     }
 
-    /// Empties the route of a channel that is no more: nobody sends there, and no guarded message that still
+    /// Empties the route of a deleted channel: nobody sends there, and no guarded message that still
     /// waits leaves any outbox, because nobody will tell this channel when its token changes hands. Gives its path.
     pub(crate) fn end(&self) -> Path {
         let mut state = self.state.lock();

@@ -21,7 +21,7 @@ pub(super) struct LinkLedger {
 
 /// What knows the paths of contexts.
 pub(crate) trait Paths: std::fmt::Debug + Send + Sync {
-    /// The path of a channel, none if it is no more.
+    /// The path of a channel, none if it was deleted.
     fn path(&self, number: ContextNumber) -> Option<Path>;
 }
 

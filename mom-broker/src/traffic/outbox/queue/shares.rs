@@ -215,7 +215,7 @@ mod tests {
         assert_eq!(queue.push(Arc::new(note(&users[3])), &clock), Taken::Yes);
     }
 
-    /// What another sender has waiting, begun or not, is no reason to close it when its owner says something.
+    /// What another sender has waiting, begun or not, must not close it when its owner says something.
     #[test]
     fn a_device_is_slow_for_what_its_owner_says_only() {
         let clock = Clock::manual(Time::default());
