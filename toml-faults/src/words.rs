@@ -48,7 +48,10 @@ mod tests {
     #[test]
     fn a_similar_word_is_offered_and_otherwise_all() {
         assert_eq!(hint("moter", &["leds", "motor"]), "did you mean `motor`?");
-        assert_eq!(hint("sing", &["leds", "motor"]), "expected one of `leds`, `motor`");
+        assert_eq!(
+            hint("sing", &["leds", "motor"]),
+            "expected one of `leds`, `motor`"
+        );
         assert_eq!(hint("sing", &[]), "none are defined here");
         assert!(hint(&"m".repeat(1000), &["motor"]).starts_with("expected `motor`"));
     }

@@ -232,7 +232,9 @@ async fn a_heartbeat_out_of_range_is_refused_here() {
             .expect_err("out of range");
         assert_eq!(error.kind(), ErrorKind::Local, "{error}");
         assert!(
-            error.to_string().contains("a heartbeat must be from 100ms to 10s"),
+            error
+                .to_string()
+                .contains("a heartbeat must be from 100ms to 10s"),
             "{error}"
         );
         let Hub::Local(mut came) = hub else {

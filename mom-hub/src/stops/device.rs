@@ -35,10 +35,7 @@ impl DeviceWord {
             Value::Bool(device) => return Ok(device.then(DeviceWord::default)),
             Value::Map(map) => map,
             _ => {
-                return Err(bad(
-                    "content/device",
-                    "device must be a boolean or a map",
-                ));
+                return Err(bad("content/device", "device must be a boolean or a map"));
             }
         };
         let is_known = |key: &str| [STOP, "stopped"].contains(&key) || installation::KEYS.contains(&key);

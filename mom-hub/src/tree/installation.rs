@@ -38,10 +38,7 @@ impl Installation {
                 Err(bad(KEYS[0], "installation must be a name of at most 64 bytes"))
             }
             (Some(_), _) => Err(bad(KEYS[1], "begun must be a time")),
-            (None, _) => Err(bad(
-                KEYS[0],
-                "begun requires installation",
-            )),
+            (None, _) => Err(bad(KEYS[0], "begun requires installation")),
         }
     }
 

@@ -142,9 +142,7 @@ impl ContextSpec {
     pub(crate) fn pace(&self) -> Result<Option<u32>, WireError> {
         match self.pace {
             Some(pace) if pace < LEAST_PACE => {
-                let text = format!(
-                    "{pace} bytes a second are below the minimum, {LEAST_PACE}"
-                );
+                let text = format!("{pace} bytes a second are below the minimum, {LEAST_PACE}");
                 Err(bad("pace", text))
             }
             pace => Ok(pace),

@@ -53,9 +53,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     context.invited.insert(peer, until);
     world.tree.name_peer(peer, number);
     let Some(context) = world.tree.get(number) else {
-        return Err(world
-            .faulted("inviting to a context that does not exist")
-            .into());
+        return Err(world.faulted("inviting to a context that does not exist").into());
     };
     let content = context
         .summary()

@@ -61,7 +61,10 @@ pub(crate) fn on(
         check_not_expelled(world, request.peer, number)?;
         let joined = world.peers.get(request.peer).map_or(0, |peer| peer.joined.len());
         if !world.settings.limits.joined.allows(joined + 1) {
-            let text = format!("a peer can join at most {} contexts", world.settings.limits.joined);
+            let text = format!(
+                "a peer can join at most {} contexts",
+                world.settings.limits.joined
+            );
             return Err(WireError::new(Code::FULL, text).into());
         }
     }

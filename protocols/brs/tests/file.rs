@@ -78,7 +78,8 @@ fn a_file_that_is_no_toml_is_refused_at_its_place() {
 
 #[test]
 fn an_unknown_key_is_refused_with_the_nearest_known() {
-    let words = "there is no key `replies`; expected one of `code`, `name`, `parameters`, `reply`, `reply-only`";
+    let words =
+        "there is no key `replies`; expected one of `code`, `name`, `parameters`, `reply`, `reply-only`";
     check(&beep("replies = []\n"), FileFault::UnknownKey, (4, 1), words);
     let words = "there is no key `reply_only`; did you mean `reply-only`?";
     check(&beep("reply_only = true\n"), FileFault::UnknownKey, (4, 1), words);

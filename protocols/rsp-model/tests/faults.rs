@@ -130,11 +130,7 @@ fn what_is_missing_is_named() {
 #[test]
 fn values_of_another_type_are_refused() {
     for (text, place, words) in [
-        (
-            "name = 1\n",
-            (1, 8),
-            "expected a text, found an integer",
-        ),
+        ("name = 1\n", (1, 8), "expected a text, found an integer"),
         (
             "name = \"x\"\nid = \"1\"\n",
             (2, 6),
@@ -216,12 +212,7 @@ fn numbers_outside_what_is_possible_are_refused() {
         9,
         "a scale is 1e-12 to 1e12, and 0 is not: the value in the unit is the wire's times it",
     );
-    in_effector(
-        "scale = nan",
-        Fault::Number,
-        9,
-        "expected a finite number",
-    );
+    in_effector("scale = nan", Fault::Number, 9, "expected a finite number");
     in_effector(
         "rate = -1",
         Fault::Number,

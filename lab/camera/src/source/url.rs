@@ -101,7 +101,9 @@ impl FromStr for SourceUrl {
         // A port that is none is left out by the parser.
         let place = authority.rsplit('@').next().unwrap_or_default();
         if uri.port_u16().is_none() && !place.ends_with(uri.host().unwrap_or_default()) {
-            return Err(BadUrl::Syntax("its port is not a number from 0 to 65535".to_owned()));
+            return Err(BadUrl::Syntax(
+                "its port is not a number from 0 to 65535".to_owned(),
+            ));
         }
         let authorization = match authority.rsplit_once('@') {
             Some((login, _)) => Some(basic(login)?),
