@@ -1,5 +1,5 @@
-//! The way of log lines to standard error: a thread of its own writes them, so that nobody who logs ever waits for
-//! whoever reads them.
+//! The way of log lines to standard error: a thread of its own writes them, so that logging never waits for their
+//! reader.
 //!
 //! What waits is bounded. Lines beyond that, and those that could not be written, are dropped and counted, and a line
 //! says how many as soon as one can be written again.

@@ -282,8 +282,8 @@ impl Others {
         unread
     }
 
-    /// Removes those of brokers that have ended, once all that they keep is kept here; a damaged one is kept for whoever looks for the
-    /// cause.
+    /// Removes those of brokers that have ended, once all that they keep is kept here; a damaged one is kept, so that the cause
+    /// can be found.
     fn forget(self) {
         for (file, lock) in &self.files {
             let Some(lock) = lock else { continue };

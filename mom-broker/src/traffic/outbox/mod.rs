@@ -135,7 +135,7 @@ pub(crate) struct Closing {
 }
 
 /// The way to the link while a task that does not write has it. Others that come to write meanwhile leave it to
-/// whoever has it: what they would have written is seen to when it is let go.
+/// that task: what they would have written is seen to when it is let go.
 struct HeldWay<'a> {
     // Let go before the other is dropped.
     way: MutexGuard<'a, Way>,
