@@ -204,14 +204,14 @@ async def test_what_is_meant_for_the_moment_is_not_said_after_a_loss(hub: FakeHu
         hub.lag = 6
         port = await away(hub, client)
         for one in said():
-            with pytest.raises(mom.LostError, match="had not left") as caught:
+            with pytest.raises(mom.LostError, match="had not been sent") as caught:
                 await asyncio.wait_for(one, PATIENCE)
             assert caught.value.code == "lost"
         await channel.send("unstop", "said meanwhile", to=["bob"])
         assert not [one for one in unread if one.done()], "nobody knows yet"
         await back(hub, client, port)
         for one in unread:
-            with pytest.raises(mom.LostError, match="had left .* unknown") as caught:
+            with pytest.raises(mom.LostError, match="had been sent .* unknown") as caught:
                 await asyncio.wait_for(one, PATIENCE)
             assert caught.value.code == "unknown" and "not sent" not in str(caught.value)
         told = [await heard(events, mom.Dropped) for _ in range(2)]

@@ -345,7 +345,7 @@ async def test_it_halts_at_its_end(robot: Robot) -> None:
     await robot.arm.leave()
     assert robot.told[-1] == "halt: it is no longer a device of its channel"
     held = robot.arm.may_move()
-    assert held is not None and "not a device" in held.text
+    assert held is not None and "no longer a device" in held.text
     again = Recorder()
     arm = await robot.client.obey(ARM, again)
     await robot.client.close()

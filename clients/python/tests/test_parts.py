@@ -55,10 +55,10 @@ def test_addresses(text: str, shown: str) -> None:
         ("bin://lab:70000", "port"),
         ("bin://::1:7666", "brackets"),
         ("bin://[lab]:7666", "brackets"),
-        ("bin://alice@lab", "not a name of a host"),
+        ("bin://alice@lab", "not a host name"),
         ("bins://lab?pin=12", "64 hexadecimal digits"),
         ("bins://lab?name=12", "pin="),
-        (f"bin://lab?pin={PIN}", "for TLS"),
+        (f"bin://lab?pin={PIN}", "requires TLS"),
     ],
 )
 def test_what_is_no_address(text: str, why: str) -> None:
