@@ -23,7 +23,7 @@ pub fn encode(value: &Value, out: &mut Vec<u8>) -> Result<(), WireError> {
         Value::Double(number) if number.is_finite() => put::write_f64(out, *number).map_err(|_| too_long()),
         Value::Double(number) => Err(WireError::new(
             Code::NOT_ENCODABLE,
-            format!("a double has to be finite, not {number}"),
+            format!("a double must be finite, not {number}"),
         )),
         Value::String(text) => encode_text(text, out),
         Value::Time(time) => encode_time(*time, out),

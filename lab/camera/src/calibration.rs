@@ -195,7 +195,7 @@ impl CalibrationFile {
             Ok(bytes) => {
                 let read: Calibration = serde_json::from_slice(&bytes).map_err(|error| wrong(&error))?;
                 if !(SIZES.contains(&read.width) && SIZES.contains(&read.height)) {
-                    return Err(wrong(&"its size is none of a camera"));
+                    return Err(wrong(&"its size is not that of a camera's image"));
                 }
                 Some(read.checked().map_err(|error| wrong(&error.text))?)
             }

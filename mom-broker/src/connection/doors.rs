@@ -126,7 +126,7 @@ impl AdmissionLimiter {
         let from = network(from);
         let mut state = self.state.lock();
         if state.closed {
-            return Err(full("this hub takes no more connections"));
+            return Err(full("this hub accepts no more connections"));
         }
         let crowd = state.crowds.get(&from);
         let oldest = if crowd.is_some_and(|crowd| crowd.count >= self.caps.per_address) {

@@ -155,7 +155,7 @@ impl Serializer for ValueSerializer {
         match number.is_finite() {
             true => Ok(Value::Double(number)),
             false => Err(SerdeError::not_encodable(format!(
-                "a double has to be finite, not {number}"
+                "a double must be finite, not {number}"
             ))),
         }
     }

@@ -263,7 +263,7 @@ async fn a_token_is_inhibited_and_broken() {
     let shown = desk.run_as("bob", &["token", TOKEN], "").await;
     check(&shown, 0, &["owner     nobody: alice inhibits it"]);
     let broken = desk.run_as("carol", &["break", TOKEN], "").await;
-    check(&broken, 0, &["broke /desk/token: alice has it no more"]);
+    check(&broken, 0, &["broke /desk/token: alice no longer has it"]);
     alice.line_with("lost /desk/token");
     assert_eq!(ended(alice).await, Some(1));
     let short = desk

@@ -394,7 +394,7 @@ async fn a_key_stops_also_over_a_connection_that_comes_back() {
     ready.press().await;
     let lost = "the connection is lost: a stop is said as soon as it is back";
     ready
-        .remarks(&["nobody knows whether anything has stopped", lost])
+        .remarks(&["it is unknown whether anything has stopped", lost])
         .await;
     network.freeze(false);
     assert_eq!(ready.tells().await, "/robot/arm: arm stands");

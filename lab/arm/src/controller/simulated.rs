@@ -256,7 +256,7 @@ impl Controller for Simulated {
                 true if self.lost.is_none() => {
                     self.lose_link(self.heard, change);
                     if busy {
-                        let error = link_error("the controller does not answer any more");
+                        let error = link_error("the controller no longer answers");
                         return Progress::Failed(self.heard, error);
                     }
                 }

@@ -39,7 +39,7 @@ pub enum BadUrl {
     )]
     Syntax(String),
     /// Another protocol.
-    #[error("a camera's URL begins with http:// or https://")]
+    #[error("a camera's URL must begin with http:// or https://")]
     Scheme,
     /// A user or a password that cannot be sent.
     #[error(

@@ -141,7 +141,7 @@ impl Drive {
             tokio::select! {
                 event = self.links.events.next() => self.note(&event.ok_or_else(closed)?)?,
                 seen = self.links.seen.next() => {
-                    let seen = seen.ok_or_else(|| VerbFailure::plain("there is no camera any more"))?;
+                    let seen = seen.ok_or_else(|| VerbFailure::plain("there is no longer a camera"))?;
                     self.see(seen);
                 }
                 () = sleep(TICK) => {}

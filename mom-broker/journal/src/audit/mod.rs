@@ -115,7 +115,7 @@ impl AuditLog {
             Err(TrySendError::Full(_)) => drop(self.shared.lost.fetch_add(count, Ordering::Relaxed)),
             Err(TrySendError::Disconnected(_)) => {
                 if !self.dead.swap(true, Ordering::Relaxed) {
-                    tracing::error!("the audit log's writer has ended: nothing is audited any more");
+                    tracing::error!("the audit log's writer has ended: auditing has stopped");
                 }
             }
         }

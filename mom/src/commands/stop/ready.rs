@@ -96,7 +96,7 @@ impl Ready<'_> {
                     },
                     () = sleep_until(pressed + LATE), if !late => {
                         late = true;
-                        self.say("no answer yet: nobody knows whether anything has stopped; it is said again as soon as the hub is heard");
+                        self.say("no answer yet: it is unknown whether anything has stopped; the stop is sent again as soon as the hub answers");
                     }
                     () = self.ended() => return Ok(false),
                 }
