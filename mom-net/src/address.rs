@@ -214,7 +214,9 @@ fn read(text: &str) -> Result<Address, String> {
             Some(("poll", "1")) if door == TUNNEL => door = Door::Tunnel { polled: true },
             Some(("form", text)) => form = read_form(text, door)?,
             _ => {
-                return Err("after ? only pin= with a fingerprint or form= with a form may follow".to_owned());
+                return Err(
+                    "after ? only pin= with a fingerprint or form= with a form may follow".to_owned(),
+                );
             }
         }
     }

@@ -138,7 +138,11 @@ fn change(object: &mut Object, content: &Value) -> Result<(), WireError> {
         Some(value) => as_number(value)
             .filter(|number| allowed.contains(number))
             .ok_or_else(|| {
-                let text = format!("{key} must be a number from {} to {}", allowed.start(), allowed.end());
+                let text = format!(
+                    "{key} must be a number from {} to {}",
+                    allowed.start(),
+                    allowed.end()
+                );
                 WireError::new(Code::BAD_CONTENT, text).slot(&format!("content/{key}"))
             }),
     };
