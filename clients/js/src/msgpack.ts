@@ -23,7 +23,7 @@ export function pack(writer: Writer, value: Value, depth = MOST_DEPTH): void {
     head(writer, value.length, [0x90, 16, 0, 0xdc, 0xdd]);
     for (const item of value as readonly Value[]) pack(writer, item, depth - 1);
   } else if (value instanceof Map || isFields(value)) packMap(writer, value, depth);
-  else throw local("not-encodable", `a ${typeof value} has no form on the wire`);
+  else throw local("not-encodable", `a ${typeof value} cannot be sent`);
 }
 
 export function packMap(writer: Writer, map: Map<string, Value> | { readonly [key: string]: Value | undefined }, depth = MOST_DEPTH): void {
@@ -71,7 +71,7 @@ function packInt(writer: Writer, number: bigint): void {
 }
 
 function packDouble(writer: Writer, number: number): void {
-  if (!Number.isFinite(number)) throw local("not-encodable", `${number} has no form on the wire`);
+  if (!Number.isFinite(number)) throw local("not-encodable", `${number} cannot be sent`);
   writer.u8(0xcb).f64(number);
 }
 
