@@ -11,7 +11,7 @@ const HERE: &str = "xtask/src/tidy/turns.rs";
 /// A turn, how often it stands in the project at most, and what to write instead.
 const TURNS: &[(&str, usize, &str)] = &[
     (" is no ", 24, "`is not a`, `there is no`"),
-    ("whoever", 30, "who does it: `the sender`, `the owner`"),
+    ("whoever", 23, "who does it: `the sender`, `the owner`"),
     ("somebody", 36, "who it is: `a peer`, `the operator`"),
 ];
 /// So many fewer than the bound may there be before it is lowered.
