@@ -20,7 +20,7 @@ const CELL: &str = "/cell";
 const TOKEN: &str = "/cell/token";
 const ARM: &str = "/cell/arm";
 
-/// How often the driver renews and somebody stops, while others log in.
+/// How often the driver renews and a peer stops, while others log in.
 const BEAT: Duration = Duration::from_millis(10);
 
 /// Peers that contend for one token.

@@ -53,7 +53,7 @@ impl Process {
         Ok(process)
     }
 
-    /// Starts a program that says nothing, and waits until somebody takes connections at `address`; `connect` tries.
+    /// Starts a program that says nothing, and waits until `address` accepts connections; `connect` tries.
     ///
     /// # Errors
     /// A program that cannot be started, ends, or listens nowhere after some seconds; with the end of what it said.

@@ -151,7 +151,7 @@ async function shootLab() {
   await shoot("contexts", carol, 1280, 900, "light");
   await carol.evaluate(() => (location.hash = "#/access?path=/robot/token"));
   await look(carol, 1280, 900, "light");
-  await carol.getByRole("button", { name: "All who are connected" }).click();
+  await carol.getByRole("button", { name: "All connected users" }).click();
   await carol.getByText("connected as bob").waitFor();
   await carol.locator(".matrix tr", { hasText: "grab" }).getByRole("button", { name: /bob/ }).click();
   await shoot("access", carol, 1280, 900, "light");

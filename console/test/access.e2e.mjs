@@ -51,7 +51,7 @@ after(async () => {
   await lab?.end();
 });
 beforeEach(async () => {
-  // What one test has opened or written is no matter of the next.
+  // What one test has opened or written does not concern the next.
   await go(page, "#/health");
   await page.locator("mom-access").waitFor({ state: "detached" });
   await page.evaluate(() => Object.keys(sessionStorage).forEach((key) => key.startsWith("mom what-if ") && sessionStorage.removeItem(key)));
@@ -133,7 +133,7 @@ test("a rule leads to its line in the running configuration", async () => {
   await page.waitForFunction(() => document.querySelector("mom-console").shadowRoot.querySelector("mom-access").shadowRoot.activeElement?.selectionStart > 0);
   assert.match(await selected(), /level-or-lease/);
   assert.equal(await editor().inputValue(), config);
-  await said("This is the configuration that runs.");
+  await said("This is the running configuration.");
 });
 
 test("faults stand at their lines", async () => {
@@ -154,7 +154,7 @@ test("what differs is a table whose lines lead into the editor, and edits can be
   await go(page, "#/access?view=what-if");
   const changed = config.replace(RULE, RULE.replace(', "grab"', ""));
   await editor().fill(changed);
-  await page.getByRole("checkbox", { name: "Also list where another rule" }).check();
+  await page.getByRole("checkbox", { name: "Also list equal decisions" }).check();
   await attempt().click();
   await said(/inputs decided again: .* differ/);
   const region = page.getByRole("region", { name: "Decisions that differ" }).last();
@@ -173,8 +173,8 @@ test("what differs is a table whose lines lead into the editor, and edits can be
   await page.getByRole("button", { name: "Try a rule file" }).click();
   await said(`Line ${line(RULE)} is changed.`);
   assert.equal(await editor().inputValue(), changed);
-  await page.getByRole("button", { name: "Back to the running one" }).click();
-  await said("This is the configuration that runs.");
+  await page.getByRole("button", { name: "Revert to the running one" }).click();
+  await said("This is the running configuration.");
   await attempt().click();
   await said(/inputs decided again: nothing differs\./);
 });
@@ -183,7 +183,7 @@ test("where nothing is recorded the page says how to record", async (t) => {
   const other = await start({ config: "" });
   t.after(other.end);
   const there = await other.page("carol", { t, path: "/#/access?view=what-if" });
-  await there.getByText("Nothing is recorded at this hub").waitFor();
+  await there.getByText("This hub records no traffic").waitFor();
   await there.getByText('path = "control.jsonl"').waitFor();
   assert.equal(await attempt(there).isDisabled(), true);
 });
@@ -191,7 +191,7 @@ test("where nothing is recorded the page says how to record", async (t) => {
 test("without the right there are words with the rule, and one's own rights", async (t) => {
   const there = await lab.page("bob", { t, path: "/#/access?path=/robot/token&users=alice+bob" });
   await there.getByText("Refused: to explain access").waitFor();
-  await there.getByText("So you see here what you yourself may do.").waitFor();
+  await there.getByText("Only your own access is shown.").waitFor();
   await there.getByRole("button", { name: "bob, grab: refuse" }).waitFor();
   await there.getByRole("button", { name: "Try a rule file" }).click();
   await there.getByText("bob may not what-if /").waitFor();

@@ -43,12 +43,12 @@ test("what decided is told also where no rule did", () => {
   const { answerOf, decidedBy, condition } = answers;
   assert.equal(decidedBy(answerOf({ answer: "deny", uncovered: true, rule: "lab" })), "none of lab covers it");
   assert.equal(decidedBy(answerOf({ answer: "deny", manager: "lab", file: "a.toml", line: 3 })), "the manager lab as a whole");
-  assert.equal(decidedBy(answerOf({ answer: "deny", manager: "lab" })), "the hub itself, whatever managers say");
+  assert.equal(decidedBy(answerOf({ answer: "deny", manager: "lab" })), "the hub itself, regardless of managers");
   assert.equal(condition(answerOf({ answer: "allow", needs: ["membership of /robot", "ownership of /robot/token"] })), "with ownership of /robot/token");
   assert.equal(condition(answerOf({ answer: "deny", needs: ["ownership of /robot/token"] })), undefined);
 });
 
-test("an answer that nobody knows is no yes", () => {
+test("an unknown answer is not a yes", () => {
   const { answerOf } = answers;
   assert.equal(answerOf({ answer: "perhaps", allow: true }).word, "deny");
   assert.equal(answerOf(undefined).word, "deny");
@@ -63,7 +63,7 @@ test("until, guard, and whom it takes the token from", () => {
   assert.equal(lines["takes it"], "from its owner");
   assert.equal(lines["until"], "at 5");
   assert.equal(lines["asks"], "the chair: carol, dave; within 30 s");
-  assert.equal(lines["needs besides"], "membership of /x");
+  assert.equal(lines["also needs"], "membership of /x");
 });
 
 test("lines of an editor are found and compared", () => {

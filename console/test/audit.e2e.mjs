@@ -39,7 +39,7 @@ before(async () => {
 });
 after(() => lab?.end());
 beforeEach(async () => {
-  // What one test has set is no matter of the next.
+  // What one test has set does not concern the next.
   await go(page, "#/health");
   await page.locator("mom-audit").waitFor({ state: "detached" });
 });
@@ -52,7 +52,7 @@ const status = () => page.locator("mom-audit").getByRole("status").first();
 /** What the page says of how much it shows. */
 const shows = (pattern) => status().filter({ hasText: pattern }).waitFor();
 
-/** Somebody asks for what nobody may have. */
+/** A user asks for what nobody may have. */
 async function refused(user, context) {
   const peer = await RawPeer.login(lab.host, user);
   await assert.rejects(peer.ask("context", "create", context, { kind: "session" }), /denied/);
@@ -72,7 +72,7 @@ test("following: what is new comes in, at the top only", async () => {
   await shows(/^200 lines/);
   await refused("bob", "/news");
   await line("refused", "bob", "/news", "denied").waitFor();
-  // Whoever reads further down stays there.
+  // A reader further down stays there.
   const before = await first();
   await box().evaluate((element) => (element.scrollTop = 1000));
   await page.locator(`tr[data-seq="${before}"]`).waitFor({ state: "detached" });
@@ -92,7 +92,7 @@ test("filters are asked of the hub, and stand in the address", async () => {
   await line("refused", "bob").waitFor();
   await lines.filter({ hasNotText: /refused[\s\S]*bob/ }).first().waitFor({ state: "detached" });
   await go(page, "#/audit?user=carol&what=refused&context=/camera");
-  await page.getByText("No fact fits these filters.").waitFor();
+  await page.getByText("No fact matches these filters.").waitFor();
   await page.getByRole("button", { name: "Clear filters" }).click();
   await address("#/audit");
   await shows(/^200 lines/);
@@ -147,7 +147,7 @@ test("thousands of facts: back in time, and bounded", async () => {
     await page.getByRole("button", { name: "Older facts" }).click();
     if (shown <= 5000) await shows(new RegExp(`^${shown.toLocaleString("en")} lines`));
   }
-  await page.getByText("The page shows 5,000 facts at most").waitFor();
+  await page.getByText("The page shows at most 5,000 facts").waitFor();
   assert.ok((await lines.count()) < 60);
   await page.getByText("not following").waitFor();
   await page.getByRole("button", { name: "To the newest" }).click();

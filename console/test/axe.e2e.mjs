@@ -26,7 +26,7 @@ const text = (words) => (page) => page.getByText(words).first().waitFor();
 const editor = (page) => page.getByRole("textbox", { name: /^Configuration/ });
 /** Tries the running configuration with a change. */
 const attempt = (from, to, words) => async (page) => {
-  await page.getByText("This is the configuration that runs.").or(page.getByText("is changed.")).first().waitFor();
+  await page.getByText("This is the running configuration.").or(page.getByText("is changed.")).first().waitFor();
   await editor(page).fill((await editor(page).inputValue()).replace(from, to));
   await page.getByRole("button", { name: "Try on the recorded traffic" }).click();
   await text(words)(page);
@@ -98,7 +98,7 @@ for (const [width, colorScheme] of [[360, "light"], [1280, "light"], [1280, "dar
     }
     await look(pages.lab, "stopped", async () => {
       await pages.lab.keyboard.press("Escape");
-      await pages.lab.locator("mom-stop").getByText("stands, measured, after").first().waitFor();
+      await pages.lab.locator("mom-stop").getByText("at rest, measured, after").first().waitFor();
     });
   });
 }

@@ -171,7 +171,7 @@ test("only who holds the token changes a camera's settings, and sees why not", a
   const page = await open(t, undefined, only("/camera/x"));
   const camera = page.locator("mom-camera");
   await camera.getByText("Settings", { exact: true }).click();
-  await camera.getByText("Only who holds /robot/token changes the settings; nobody does").waitFor();
+  await camera.getByText("Only the owner of /robot/token may change the settings: it is free").waitFor();
   assert.ok(await camera.getByRole("button", { name: "Apply" }).isDisabled());
   await page.locator("mom-token").getByRole("button", { name: "Grab" }).click();
   await camera.getByLabel("Width (px)").fill("320");
@@ -202,7 +202,7 @@ test("who drives gets new pictures though nothing moves", async (t) => {
   assert.ok((await shown()) <= 1);
   await page.locator("mom-token").getByRole("button", { name: "Grab" }).click();
   await until(page, async () => (await shown()) >= 4);
-  // It is no older than a second.
+  // It is at most a second old.
   await camera.locator(".age .warning").waitFor({ state: "detached" });
   await page.locator("mom-token").getByRole("button", { name: "Give back" }).click();
 });
@@ -369,5 +369,5 @@ test("what is not a picture, or too large, is told in words", async (t) => {
 
 test("a channel that is not there is told in words", async (t) => {
   const page = await open(t, undefined, only("/nowhere"));
-  await page.locator("mom-camera").getByText("There is no picture:").waitFor();
+  await page.locator("mom-camera").getByText("No picture:").waitFor();
 });

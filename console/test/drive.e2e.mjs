@@ -240,9 +240,9 @@ test("a picture is named after its own camera, and without one of a camera that 
   await says(shown, /Picture of \/camera\/(pan|y|top|wrist)/);
   const others = await alice.locator('mom-cameras button[aria-pressed="true"]').allInnerTexts();
   for (const name of others) await toggle(name);
-  await says(shown, "none is shown of a camera that sees the device");
+  await says(shown, "no camera that sees the device is shown");
   await alice.keyboard.down("w");
-  await says(state(alice), "Locked: no picture is shown of a camera that sees the device.");
+  await says(state(alice), "Locked: no camera that sees the device is shown.");
   await alice.keyboard.up("w");
   for (const name of ["x", ...others]) await toggle(name);
   await says(shown, "Picture of /camera/x");
@@ -285,7 +285,7 @@ test("a button moves as long as it is held", async () => {
 test("directions are those of the camera, if that is wanted", async () => {
   const frame = alice.locator("mom-jog").getByLabel("Directions");
   await frame.selectOption("camera");
-  await alice.locator("mom-jog").getByText("The camera has told no matrix yet").waitFor({ state: "hidden" });
+  await alice.locator("mom-jog").getByText("No matrix from the camera yet").waitFor({ state: "hidden" });
   await alice.getByRole("switch", { name: "Drive by keys" }).focus();
   const x = async () => Number(await commands(alice).locator(".pose dd .mono").first().innerText());
   const before = await x();

@@ -9,7 +9,7 @@ const POLICY = (files, hub, worker) =>
 
 const issuer = generateKeyPairSync("ed25519");
 
-/** What the page's own server makes for whoever is logged in there. */
+/** What the page's own server makes for a user logged in there. */
 function tokenOf(user, seconds) {
   const part = (value) => Buffer.from(JSON.stringify(value)).toString("base64url");
   const text = `${part({ alg: "EdDSA", typ: "JWT" })}.${part({ iss: "https://id.example.org", aud: "mom", sub: user, exp: Math.floor(Date.now() / 1000) + seconds })}`;
@@ -150,7 +150,7 @@ test("a page that is not on the list is refused in words", async (t) => {
   await page.locator("mom-login").getByText(words).waitFor();
   await page.locator("mom-status").getByText(words).waitFor();
   const told = await page.waitForFunction(() => window.refused);
-  assert.match(await told.evaluate(({ text }) => text), /The hub answers, but not to pages of/);
+  assert.match(await told.evaluate(({ text }) => text), /The hub refuses pages from/);
 });
 
 test("the example: log in, hold the token, stop, log out", async (t) => {

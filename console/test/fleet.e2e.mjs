@@ -88,12 +88,12 @@ test("all robots are in the table, which sorts and filters; rows are selected by
   await row(1).waitFor({ state: "detached" });
   await fleet.getByText("3 of 10 robots").waitFor();
   await filter.fill("lost");
-  await fleet.getByText("No robot fits the filter.").waitFor();
+  await fleet.getByText("No robot matches the filter.").waitFor();
   await fleet.getByRole("button", { name: "Show all" }).click();
   await row(1).waitFor();
 });
 
-test("a token that somebody else has is refused in words, with what can be done", async (t) => {
+test("a token that another peer owns is refused in words, with what can be done", async (t) => {
   const carol = await RawPeer.login(lab.host, "carol");
   t.after(() => carol.close());
   await carol.ask("context", "join", "/fleet");
@@ -222,7 +222,7 @@ test("what lets robots go asks, names who stopped which of them and why, and is 
   await bob.ask("context", "stop", "/fleet/8/robot", { reason: "smoke" });
   await question.getByRole("button", { name: "Free these 2" }).click();
   await fleet.getByText("Let go: robot 7.").waitFor();
-  await fleet.getByRole("alert").filter({ hasText: "let go robot 8" }).getByText(/bob.* has stopped it again since: smoke/).waitFor();
+  await fleet.getByRole("alert").filter({ hasText: "let go robot 8" }).getByText(/bob.* stopped it again: smoke/).waitFor();
   await row(7).getByText("standing").waitFor();
   await row(8).getByText("stopped").waitFor();
 

@@ -58,7 +58,7 @@ test("an operator adds, changes and removes a robot, and is told what is wrong a
   const address = dialog.getByRole("textbox", { name: "Address" });
   assert.equal(await dialog.getByRole("textbox", { name: "Unit number" }).inputValue(), "3");
   await dialog.getByRole("button", { name: "Add it" }).click();
-  await dialog.getByText("Say where the robot listens").waitFor();
+  await dialog.getByText("Enter the robot's address").waitFor();
   await address.fill(addresses[0]);
   await dialog.getByRole("button", { name: "Add it" }).click();
   await dialog.getByText("is already the address of unit 1").waitFor();
@@ -90,7 +90,7 @@ test("an operator adds, changes and removes a robot, and is told what is wrong a
   assert.doesNotMatch(readFileSync(file, "utf8"), /window/);
 });
 
-test("a robot that somebody holds is left to them, and who is not an operator has no such form", async (t) => {
+test("a robot that a user holds is left to them, and who is not an operator has no such form", async (t) => {
   const bob = await open(t, "bob");
   await bob.fleet.locator("tr[data-unit='1']").click();
   await bob.fleet.getByTitle("Grab the tokens of the selected robots").click();

@@ -117,7 +117,7 @@ test("an offer is accepted on another page, a loan that ends and a token that is
   await go(alice, "#/health");
   const carol = await peer(t, "carol");
   await carol.ask("token", "grab", "/robot/token");
-  await says(news(alice), /You lost \/robot\/token: somebody of a higher level took it, by carol/);
+  await says(news(alice), /You lost \/robot\/token: a user of a higher level took it, by carol/);
 });
 
 test("what is stopped and which device is gone stands in one line of every page, and in the history", async (t) => {
@@ -149,7 +149,7 @@ test("a device that is gone is told on every page, until it is back; a mirrored 
   await alice.locator("mom-simulacrum tbody[data-element]").first().waitFor();
   await go(alice, "#/access");
   await robot.end();
-  await says(news(alice), "The device of /cubo/robot is gone since");
+  await says(news(alice), "The device of /cubo/robot has been gone since");
   robot = (await FakeRobot.start(hub.host, "/cubo")).run();
   await says(news(alice), "The device of /cubo/robot is back.");
 });
@@ -292,7 +292,7 @@ test("who is put out of the hub is told at the login by whom and why", async (t)
   const carol = await RawPeer.login(own.host, "carol");
   t.after(() => carol.close());
   await carol.ask("context", "expel", "/", { peer: "bob", text: "the lab closes at six", for: 60_000 });
-  await bob.getByText("You were put out of the hub by carol: the lab closes at six").first().waitFor();
+  await bob.getByText("You were expelled from the hub by carol: the lab closes at six").first().waitFor();
   await bob.getByRole("button", { name: "Log in" }).waitFor();
 });
 
@@ -303,7 +303,7 @@ test("the line that is always seen is about the robot of the page, and says whic
   const line = alice.locator("mom-status dl");
   await says(line, /Pose of \/fleet\/1/);
   await go(alice, "#/fleet");
-  await says(line, /Pose\s*no robot is chosen/);
+  await says(line, /Pose\s*no robot selected/);
   await alice.locator('mom-fleet tr[data-unit="2"]').click();
   await says(line, /Pose of \/fleet\/2/);
   await go(alice, "#/drive");
@@ -316,7 +316,7 @@ test("a robot on wheels has none of an arm's controls", async (t) => {
   await says(alice.locator("mom-drive"), "This is a robot on wheels");
   for (const gone of ["mom-jog", "mom-objects", "mom-calibrate", "mom-cursor"]) assert.equal(await alice.locator(gone).count(), 0, gone);
   const commands = alice.locator("mom-commands");
-  await says(commands, "What this device understands is not known here");
+  await says(commands, "This device's language is not known here");
   for (const name of ["Grip open", "From cursor", "Home"]) assert.equal(await commands.getByRole("button", { name }).count(), 0, name);
   await alice.getByRole("link", { name: "To Fleet" }).click();
   await alice.locator("mom-fleet").waitFor();

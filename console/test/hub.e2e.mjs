@@ -125,7 +125,7 @@ test("what others say is text, and a message is sent with a receipt", async (t) 
   await page.getByLabel("Content", { exact: true }).fill("good morning");
   await page.locator("mom-watch").getByRole("button", { name: "Send" }).click();
   await page.getByText("Taken by 2 receivers.").waitFor();
-  // It is paused as long as somebody reads.
+  // It is paused as long as the user reads.
   await page.locator("mom-watch").getByRole("button", { name: "Follow" }).click();
   await said.filter({ hasText: "good morning" }).waitFor();
   await page.getByLabel("Content as").selectOption("json");
@@ -161,7 +161,7 @@ test("an operator makes and deletes a context; others are told by which rule the
   await row(alice, "/workshop").waitFor({ state: "detached" });
   // What stands in the configuration cannot be deleted, and the page says so.
   await row(page, "/chat").click();
-  await context.getByText("It stands in the hub's configuration").waitFor();
+  await context.getByText("It is part of the hub's configuration").waitFor();
   assert.equal(await context.getByRole("button", { name: "Delete" }).getAttribute("aria-disabled"), "true");
 });
 
@@ -182,7 +182,7 @@ test("peers are those of mom top; an operator expels one, others are told why th
   const alice = await login(t, lab, "alice", "#/peers");
   const toExpel = async (page) => {
     await page.locator("mom-peers").getByRole("button", { name: `Expel ${bob.name}` }).click();
-    await page.getByLabel("What it is told").fill("time to go");
+    await page.getByLabel("Message to the peer").fill("time to go");
     await page.getByLabel(/^For /).fill("0.001");
     await page.getByRole("button", { name: "Expel it" }).click();
   };
@@ -303,7 +303,7 @@ test("content of hostile depth and size is bounded", async (t) => {
   await watch.getByRole("option").filter({ hasText: "wide" }).click();
   await watch.getByText("3,800 more").waitFor();
   await watch.getByRole("option").filter({ hasText: "long" }).click();
-  await watch.getByText("A part was left out because it is large.").waitFor();
+  await watch.getByText("A large part was left out.").waitFor();
   await watch.getByRole("option").filter({ hasText: "proto" }).click();
   await watch.getByText("mine").first().waitFor();
 });

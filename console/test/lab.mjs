@@ -206,7 +206,7 @@ function labOf({ child, port, folder, relay, browser, end, address }) {
         run.once("exit", (code) => resolve({ code, out }));
       });
     },
-    /** Takes the robot's token from whoever has it still, so that a test begins as it were the first one. */
+    /** Takes the robot's token from a peer that still has it, so that a test begins as it were the first one. */
     async free() {
       const carol = await RawPeer.login(this.host, "carol");
       await carol.ask("context", "join", "/robot");

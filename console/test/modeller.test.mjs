@@ -63,7 +63,7 @@ test("a model that is written reads as the same model", async () => {
 });
 
 test("a file that is not a model is refused with its place, and what is not known in it is told", async () => {
-  assert.match((await read('name = "a"\nid = = 1')).mistake, /^It is not TOML, line 2, column 6: /);
+  assert.match((await read('name = "a"\nid = = 1')).mistake, /^Not valid TOML, line 2, column 6: /);
   assert.match((await read("element = 3")).mistake, /\[\[element\]\]/);
   assert.match((await read("#".repeat(LONGEST_FILE + 1))).mistake, /larger than/);
   const { draft, notes } = await read('name = "a"\nid = 2024-01-01\ncolour = 1\n# hm\n[[element]]\nname = "w"\nkind = "effectr"\nspeed = 3\nrange = [1]\nparts = ["a", "b"]\ncount = 3\nmotion = "incremental"\ninterpolate = true\n');
@@ -89,9 +89,9 @@ test("each mistake stands at its field", () => {
     [{ ...wheel, count: "3", unit: "m, s" }, "unit", /2 values for 3 numbers/],
     [{ ...wheel, scale: "0" }, "scale", /1e-12/],
     [{ ...wheel, range: "5" }, "range", /not a range/],
-    [{ ...wheel, range: "5..1" }, "range", /upside down/],
+    [{ ...wheel, range: "5..1" }, "range", /reversed/],
     [{ ...wheel, range: "0..40000" }, "range", /i16 holds -32768 to 32767/],
-    [{ ...wheel, range: "5..9" }, "safe", /say what is safe/],
+    [{ ...wheel, range: "5..9" }, "safe", /set a safe value/],
     [{ ...wheel, range: "5..9", safe: "4" }, "safe", /4 is outside/],
     [{ ...wheel, safe: "x" }, "safe", /not a number/],
     [{ ...wheel, motion: "incremental", safe: "1" }, "safe", /incremental/],
@@ -104,20 +104,20 @@ test("each mistake stands at its field", () => {
     [{ ...wheel, lasts: "20" }, "lasts", /An effector has none/],
     [{ name: "wave", kind: "command", lasts: "70000" }, "lasts", /0 to 60000/],
     [{ ...wheel, type: "bytes" }, "max", /missing/],
-    [{ ...wheel, type: "bytes", max: "9", unit: "mm" }, "unit", /bytes are none/],
-    [{ ...wheel, max: "9" }, "max", /type bytes/],
-    [{ name: "e", kind: "event", unit: "mm" }, "unit", /without a type/],
+    [{ ...wheel, type: "bytes", max: "9", unit: "mm" }, "unit", /not to bytes/],
+    [{ ...wheel, max: "9" }, "max", /Only bytes/],
+    [{ name: "e", kind: "event", unit: "mm" }, "unit", /choose a type/],
     [{ name: "m", kind: "monitor" }, "of", /missing/],
     [{ name: "m", kind: "monitor", of: "x" }, "of", /no element “x”/],
-    [{ name: "m", kind: "monitor", of: "m" }, "of", /m is none/],
+    [{ name: "m", kind: "monitor", of: "m" }, "of", /m is not one/],
     [{ name: "m", kind: "module" }, "members", /missing/],
     [{ name: "m", kind: "module", members: "x" }, "members", /no element/],
-    [{ name: "m", kind: "module", members: "m" }, "members", /modules have no modules/],
+    [{ name: "m", kind: "module", members: "m" }, "members", /cannot contain modules/],
     [{ ...wheel, doc: "x".repeat(4097) }, "doc", /4096/],
   ]) assert.match(mistakes([element]).at(0, field) ?? "", words, JSON.stringify(element));
   assert.equal(mistakes([{ ...wheel, range: "-327680..327670", scale: "10" }]).count, 0);
   assert.match(mistakes([wheel, wheel]).at(1, "name"), /Two elements/);
-  assert.match(mistakes([{ ...wheel, name: "a1" }, { ...wheel, name: "a-1" }]).at(1, "name"), /same in code as a1/);
+  assert.match(mistakes([{ ...wheel, name: "a1" }, { ...wheel, name: "a-1" }]).at(1, "name"), /same name for a1/);
   const two = [wheel, { name: "m", kind: "module", members: "wheel, wheel" }, { name: "n", kind: "module", members: "wheel" }];
   assert.match(mistakes(two).at(1, "members"), /listed twice/);
   assert.match(mistakes(two).at(2, "members"), /member of m already/);
@@ -126,12 +126,12 @@ test("each mistake stands at its field", () => {
 test("bytes are sound if they say so, and their blocks have room", async () => {
   const speaker = { name: "speaker", kind: "effector", type: "bytes", max: "1956" };
   for (const [element, words] of [
-    [{ sound: "pcm 44101" }, /A codec and its samples a second/],
+    [{ sound: "pcm 44101" }, /A codec and its samples per second/],
     [{ sound: "pcm 7950" }, /A codec/],
     [{ sound: "mp3 44100" }, /A codec/],
     [{ sound: "pcm" }, /A codec/],
     [{ sound: "opus 44100" }, /A codec/],
-    [{ sound: "pcm 48950" }, /20 ms of it have up to 1958 bytes/],
+    [{ sound: "pcm 48950" }, /20 ms of it take up to 1958 bytes/],
     [{ sound: "opus 48000", max: "1274" }, /up to 1275 bytes/],
     [{ sound: "pcm 16000", type: "i16", max: "" }, /Only bytes can be sound/],
     [{ sound: "pcm 16000", type: "", max: "" }, /Only bytes can be sound/],
@@ -251,7 +251,7 @@ test("what fails is said in words: mistakes, refusals, nonsense, and silence", a
     assert.deepEqual([made.asking, hub.watched], [undefined, []]);
   };
   await fails(() => says({ language: "rust", error: "line 3, column 1: there is no key `peroid`" }), /^Error: The middle says: line 3, column 1: there is no key `peroid`$/);
-  for (const [content, more] of [["nonsense"], [{ name: "x" }], [{ text: "x" }], [{ name: "x", text: "x" }, { cut: true }]]) await fails(() => says(content, 7, more), /\/fleet\/1 was not understood/);
+  for (const [content, more] of [["nonsense"], [{ name: "x" }], [{ text: "x" }], [{ name: "x", text: "x" }, { cut: true }]]) await fails(() => says(content, 7, more), /\/fleet\/1 sent an invalid answer/);
   await fails(() => heard().failed({ kind: "refused", code: "denied", text: "bob may not join", content: {} }), /bob may not join/);
 
   t.mock.timers.enable({ apis: ["setTimeout"] });

@@ -48,7 +48,7 @@ const fault = (page, text) => page.evaluate((said) => void setTimeout(() => { th
 test("a form's refusal, a failed login and a fault of the page are notices", async (t) => {
   const alice = await lab.open("/", { t });
   await logIn(alice, "alice", "wrong");
-  await alice.getByText("The user or the password is not right.").waitFor();
+  await alice.getByText("Wrong user or password.").waitFor();
   await logIn(alice, "alice");
   await go(alice, "#/contexts?path=/workshop");
   const context = alice.locator("mom-context");
@@ -59,7 +59,7 @@ test("a form's refusal, a failed login and a fault of the page are notices", asy
   await noted(alice, /The login failed/, "error");
   await noted(alice, /Delete \/workshop: /, "error");
   await fault(alice, "made for the test");
-  await noted(alice, /A fault of this page: made for the test/, "error");
+  await noted(alice, /Error in this page: made for the test/, "error");
   await until(alice, () => alice.faults.length === 1);
   alice.faults.length = 0;
 });
@@ -88,7 +88,7 @@ test("a device that does not obey, and a STOP that reaches none, are notices", a
   const alice = await hub.page("alice", { t });
   await open(alice);
   await alice.keyboard.press("Escape");
-  await noted(alice, /Stop: \/robot\/arm arm: has not said so/, "error");
+  await noted(alice, /Stop: \/robot\/arm arm: has not confirmed/, "error");
   const guest = await hub.open("/", { t });
   await guest.getByRole("radio", { name: "Guest" }).check();
   await guest.getByRole("button", { name: "Log in" }).click();
@@ -97,7 +97,7 @@ test("a device that does not obey, and a STOP that reaches none, are notices", a
   await noted(guest, /Stop: \/: no device here obeys stop/, "warning");
 });
 
-test("a command that fails is a notice, whoever has sent it", async (t) => {
+test("a command that fails is a notice, whoever sent it", async (t) => {
   const alice = await lab.page("alice", { t });
   await open(alice);
   writeFileSync(join(lab.folder, "far.txt"), "move 5000 0 0 0 0\n");
@@ -130,7 +130,7 @@ test("errors are reported to the hub only if the page's user wants that, also af
   await consent.check();
   await fault(alice, "password alice is reported");
   const [report, ...more] = await reported(alice, lab, /is reported/, 1);
-  assert.match(report.text, /^A fault of this page: password … is reported/);
+  assert.match(report.text, /^Error in this page: password … is reported/);
   assert.deepEqual([report.level, report.program, report.from, more], ["error", "mom-console", "127.0.0.1", []]);
   // What is refused has the code of that.
   await alice.reload();

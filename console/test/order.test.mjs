@@ -20,11 +20,11 @@ test("an order has one notice for all places of which the same is said", () => {
   const found = troublesOf(report({ devices, newer, refused: [{ path: "/g", failure }], empty: ["/h"], denied: ["/i", "/j"] }));
   assert.deepEqual(found.map(({ tone, text }) => `${tone} ${text}`), [
     "error Stop: /g: you may not",
-    "error Stop: /a a and 1 more: has not said so",
-    "error Stop: /c c: its connection is lost: it finds the stop when it comes back",
+    "error Stop: /a a and 1 more: has not confirmed",
+    "error Stop: /c c: its connection is lost: it gets the stop when it comes back",
     "error Stop: /d d: obeys, and is moving",
-    "error Stop: /f: stays stopped: bob has stopped it again since: smoke\\u{202e}",
-    "warning Stop: /h: no device is here to obey",
+    "error Stop: /f: stays stopped: bob stopped it again: smoke\\u{202e}",
+    "warning Stop: /h: there is no device here",
     "warning Stop: /i and 1 more: you may not stop it",
   ]);
   assert.equal(found[0].failure, failure);

@@ -18,7 +18,7 @@ const CHANNELS = 10;
 test("a wrong password is refused in words, a right one lets in", async (t) => {
   const page = await lab.open("/", { t });
   await logIn(page, "alice", "wrong");
-  await page.getByText("The user or the password is not right.").waitFor();
+  await page.getByText("Wrong user or password.").waitFor();
   await logIn(page, "alice");
   await nameOf(page);
   await page.locator("mom-status dl").getByText(/connected \(ws\)/).waitFor();
@@ -39,7 +39,7 @@ test("the page is of the hub alone, within its policy, and small", async (t) => 
   await page.getByRole("button", { name: "Log in" }).waitFor();
   assert.deepEqual([...hosts], [new URL(lab.address).host]);
   assert.ok(isPreview || (bytes > 10_000 && bytes < 130 * 1024), `${bytes} bytes of the first load`);
-  // A script that somebody brought into the page does not run.
+  // A script that was injected into the page does not run.
   await page.evaluate(() => {
     const script = document.createElement("script");
     script.textContent = "window.broken = true";
@@ -82,8 +82,8 @@ test("Escape stops from anywhere and Space outside of fields, and each device sa
   await page.keyboard.press("Space");
   assert.equal(await report(page).count(), 0, "Space belongs to the control that has the focus");
   await page.keyboard.press("Escape");
-  await report(page).getByText(/\/robot\/arm\s*arm\s*stands, measured, after/).waitFor();
-  await report(page).getByText(/\/camera\/pan\s*camera-pan\s*stands, measured, after/).waitFor();
+  await report(page).getByText(/\/robot\/arm\s*arm\s*at rest, measured, after/).waitFor();
+  await report(page).getByText(/\/camera\/pan\s*camera-pan\s*at rest, measured, after/).waitFor();
   const status = page.locator("mom-status");
   await status.getByText("stopped").waitFor();
   await stands(page, CHANNELS);
@@ -92,7 +92,7 @@ test("Escape stops from anywhere and Space outside of fields, and each device sa
   await status.getByText("at rest").waitFor();
   await page.locator("main").focus();
   await page.keyboard.press("Space");
-  await report(page).getByText(/arm\s*stands, measured, after/).waitFor();
+  await report(page).getByText(/arm\s*at rest, measured, after/).waitFor();
   await stands(page, CHANNELS);
   await letGo(page);
   await status.getByText("at rest").waitFor();
@@ -109,7 +109,7 @@ test("who has stopped it and why is in the frame, and only what it shows is let 
   await said("smoke");
   const free = page.getByRole("button", { name: "Let go" });
   await letGo(page);
-  await report(page).getByText(/\/camera\/pan stays stopped: bob.* has stopped it again since: smoke/).waitFor();
+  await report(page).getByText(/\/camera\/pan stays stopped: bob.* stopped it again: smoke/).waitFor();
   await standing.getByText(/Stopped by bob.*: smoke/).waitFor();
   await letGo(page);
   await report(page).getByText(/camera-pan\s*may move, after/).waitFor();
@@ -130,7 +130,7 @@ test("with the link down STOP tries every door and says that nobody has confirme
   } finally {
     lab.child.kill("SIGCONT");
   }
-  await report(page).getByText(/arm\s*stands, measured, after/).waitFor();
+  await report(page).getByText(/arm\s*at rest, measured, after/).waitFor();
   await page.locator("mom-status").getByText("connected").waitFor();
   await letGo(page);
   await report(page).getByText(/arm\s*may move/).waitFor();
@@ -165,13 +165,13 @@ test("a page of an older version says so, and is loaded anew", async (t) => {
   const page = await lab.page("alice", { t });
   await page.route("**/api/console", (route) => route.fulfill({ contentType: "application/json", body: JSON.stringify({ console: "0000000000000000", version: "9.9.9" }) }));
   await page.evaluate(() => document.dispatchEvent(new Event("visibilitychange")));
-  await page.getByText("The hub has a newer console than this page.").waitFor();
+  await page.getByText("The hub has a newer version of this page.").waitFor();
   await page.unroute("**/api/console");
   const again = page.waitForEvent("load");
   await page.getByRole("button", { name: "Reload" }).click();
   await again;
   await nameOf(page);
-  assert.equal(await page.getByText("newer console").count(), 0);
+  assert.equal(await page.getByText("newer version of this page").count(), 0);
 });
 
 test("who has no right for something is told so beforehand, by which rule", async (t) => {

@@ -184,7 +184,7 @@ test("the owner sets, executes, switches and asks, each under the fence", async 
   await row("joints").getByRole("button", { name: "joints" }).click();
   const joints = row("joints").getByLabel("Values (deg)");
   await joints.fill("-90 0");
-  await row("joints").getByText("3 numbers are needed, and these are 2").waitFor();
+  await row("joints").getByText("3 numbers are needed, not 2").waitFor();
   await joints.fill("-90, 0, 20.5");
   await row("joints").getByRole("button", { name: "Set" }).click();
   await row("joints").getByText("−90, 0, 20.5 deg").first().waitFor();
@@ -267,7 +267,7 @@ test("T is sent when the slider is let go, and is confirmed or not", async (t) =
   await release(mirror);
 });
 
-test("a token that somebody else has is refused in words", async (t) => {
+test("a token that another peer owns is refused in words", async (t) => {
   const bob = await RawPeer.login(hub.host, "bob");
   t.after(() => bob.close());
   await bob.ask("context", "join", "/cubo");
@@ -300,7 +300,7 @@ for (const [width, colorScheme] of [[360, "light"], [360, "dark"], [1280, "light
     await accessible(page);
     const { modeller } = await model(page);
     await modeller.getByRole("textbox", { name: "Range of lips" }).fill("9..1");
-    await modeller.getByText("The range is upside down").waitFor();
+    await modeller.getByText("The range is reversed").waitFor();
     await accessible(page);
   });
 }
@@ -320,28 +320,28 @@ test("a model is made: packets follow, mistakes stand at their field, and it is 
   assert.deepEqual([await size("Full packet", 0), await size("Full packet", 1), await size("Each second", 0)], ["1,999 B", "700 B", "99,950 B/s"]);
   const packet = modeller.getByRole("region", { name: "The packet" });
   await packet.getByRole("button", { name: "motion" }).click();
-  assert.equal(await size("What is chosen", 0), "34 B");
+  assert.equal(await size("Selected elements", 0), "34 B");
   await packet.getByRole("checkbox", { name: "speaker is in the packet" }).check();
-  assert.equal(await size("What is chosen", 0), "1,992 B");
+  assert.equal(await size("Selected elements", 0), "1,992 B");
   await packet.getByRole("button", { name: "All" }).click();
 
   await modeller.getByLabel("T (ms)").fill("40");
   assert.equal(await size("Each second at T = 40 ms", 0), "49,975 B/s");
-  await modeller.getByRole("textbox", { name: "Most bytes of speaker" }).fill("1000");
+  await modeller.getByRole("textbox", { name: "Max. bytes of speaker" }).fill("1000");
   assert.equal(await size("Full packet", 0), "1,043 B");
   // Its sound has no room then: less of it has.
-  await modeller.getByText("20 ms of it have up to 1956 bytes: more than this element may have.").waitFor();
+  await modeller.getByText("20 ms of it take up to 1956 bytes: more than this element may have.").waitFor();
   await modeller.getByRole("textbox", { name: "Sound of speaker" }).fill("pcm 25000");
   const rate = modeller.getByRole("textbox", { name: "Rate (unit/s) of joints" });
   await rate.fill("-1");
   const mistake = await rate.getAttribute("aria-describedby");
-  assert.equal(await modeller.locator(`#${mistake}`).innerText(), "A change in units a second, more than 0.");
+  assert.equal(await modeller.locator(`#${mistake}`).innerText(), "A rate in units per second, more than 0.");
   const download = modeller.getByRole("button", { name: "Download as TOML" });
   assert.equal(await download.getAttribute("aria-disabled"), "true");
   await rate.fill("90");
   // An element of another kind has other fields; what stands in one that it has not is said.
   await modeller.getByRole("combobox", { name: "Kind of lips" }).selectOption("sensor");
-  await modeller.getByText("A sensor has none: empty this field.").waitFor();
+  await modeller.getByText("A sensor has none: clear this field.").waitFor();
   await modeller.getByRole("combobox", { name: "Kind of lips" }).selectOption("effector");
   await modeller.getByRole("button", { name: "Move down: left-wheel" }).click();
   assert.equal(await modeller.locator("tr[data-element]").first().getAttribute("data-element"), "right-wheel");
@@ -359,12 +359,12 @@ test("a model is made: packets follow, mistakes stand at their field, and it is 
   await modeller.locator('tr[data-element="lamp"]').waitFor();
   await modeller.getByRole("button", { name: "Remove: lamp" }).click();
   await modeller.locator('input[type="file"]').setInputFiles(path);
-  await modeller.getByText("Replace the model that is here?").waitFor();
+  await modeller.getByText("Replace the current model?").waitFor();
   await modeller.getByRole("button", { name: "Replace it" }).click();
   await modeller.locator('tr[data-element="lamp"]').waitFor();
   assert.equal(await size("Device map, 17 bits", 0), "3");
   await modeller.locator('input[type="file"]').setInputFiles({ name: "bad.toml", mimeType: "text/plain", buffer: Buffer.from("name = ") });
-  await modeller.getByText(/^bad\.toml was not loaded\. It is not TOML, line 1, column \d+:/).waitFor();
+  await modeller.getByText(/^bad\.toml was not loaded\. Not valid TOML, line 1, column \d+:/).waitFor();
   await modeller.getByText("mom rsp generate cubo.toml --rust cubo.rs --c cubo.h --docs cubo.md").waitFor();
 });
 
@@ -411,7 +411,7 @@ test("the middle of a robot writes code of the model, and gives the robot's own"
   await robots.selectOption("/zoe");
   other.answer = ({ language }) => ({ language, name: "zoe.toml", text: 'name = "zoe"\nid = 7\n[[element]]\nname = "wheel"\nkind = "effector"\ntype = "i16"\n' });
   await load.click();
-  await modeller.getByText("Replace the model that is here?").waitFor();
+  await modeller.getByText("Replace the current model?").waitFor();
   assert.deepEqual(other.asked, [{ language: "toml" }]);
   await modeller.getByRole("button", { name: "Replace it" }).click();
   await modeller.getByText("Loaded zoe.toml of /zoe: 1 element.").waitFor();

@@ -92,7 +92,7 @@ test("statements are built of what is typed, and mistakes are said", () => {
   assert.match(numbersOf("1 for", undefined).mistake, /“for” is not a number/);
   assert.match(numbersOf("inf", undefined).mistake, /not a number/);
   assert.match(numbersOf("1e999", undefined).mistake, /not a number/);
-  assert.match(numbersOf("1 2", 3).mistake, /3 numbers are needed, and these are 2/);
+  assert.match(numbersOf("1 2", 3).mistake, /3 numbers are needed, not 2/);
   assert.match(numbersOf("x".repeat(50), 1).mistake, /^“x{20}…”/);
   assert.deepEqual([timeOf("", false), timeOf(" 1000 ", true)], [{ value: undefined }, { value: 1000 }]);
   for (const [typed, needed] of [["", true], ["0", false], ["60001", false], ["1.5", false], ["-1", true]]) assert.ok("mistake" in timeOf(typed, needed), typed);

@@ -150,17 +150,17 @@ test("the report says how each device's rest is known, as it becomes known, and 
   await moves(page).getByText("moving", { exact: true }).waitFor();
   await press(page);
   // It obeys at once, and rolls.
-  await line.getByText("obeys, and is coming to rest…").waitFor();
+  await line.getByText("obeys, coming to rest…").waitFor();
   await moves(page).getByText("stopped, moving").waitFor();
   assert.equal(await line.locator(".good").count(), 0);
-  await line.locator(".danger").getByText(/obeys, and was moving still after/).waitFor();
+  await line.locator(".danger").getByText(/obeys, still moving after/).waitFor();
   await robot.moves(false);
-  await line.locator(".good").getByText(/stands, measured, after/).waitFor();
+  await line.locator(".good").getByText(/at rest, measured, after/).waitFor();
   await moves(page).getByText("stopped, at rest, measured").waitFor();
   for (const [said, inReport, inLine] of [
-    [{ rest: "not-measured" }, /stands, not measured, after/, "stopped, at rest, not measured"],
-    [{ rest: undefined }, /obeys, and was not known to rest after/, "stopped, not known to rest"],
-    [{ rest: undefined, reached: undefined }, /obeys, after .*; its rest is not told/, "stopped, rest not told"],
+    [{ rest: "not-measured" }, /at rest, not measured, after/, "stopped, at rest, not measured"],
+    [{ rest: undefined }, /obeys, rest unknown after/, "stopped, rest unknown"],
+    [{ rest: undefined, reached: undefined }, /obeys after .*, rest not reported/, "stopped, rest not reported"],
     [{ moving: true, rest: undefined, reached: false }, /obeys, and is not reached$/, /stopped, not reached since \d\d:\d\d:\d\d$/],
     [{ "unreached-since": (Date.now() - 3_600_000) * 1000 }, /obeys, and is not reached since \d\d:\d\d:\d\d$/, /stopped, not reached since \d\d:\d\d:\d\d$/],
   ]) {
@@ -181,10 +181,10 @@ test("of many devices those that need attention come first", async (t) => {
     hubOf().order = { order: "stop", top: "/", at: Date.now(), devices, refused: [], newer: [], empty: [], denied: [], over: true, taken: true, missed: false, trying: [] };
   });
   const report = page.locator("mom-stop .report");
-  await report.getByText("118 of 120 stand").waitFor();
+  await report.getByText("118 of 120 at rest").waitFor();
   const lines = await report.locator("li").allInnerTexts();
-  assert.match(lines[0], /\/herd\/90 .*was moving still after 3\.0 s/);
-  assert.match(lines[1], /\/herd\/110 .*has not said so/);
+  assert.match(lines[0], /\/herd\/90 .*still moving after 3\.0 s/);
+  assert.match(lines[1], /\/herd\/110 .*has not confirmed/);
   assert.deepEqual([lines.length, lines.at(-1)], [53, "and 68 more, which need no attention"]);
   assert.equal(await page.locator("mom-stop .report.calm").count(), 0);
 });
@@ -197,7 +197,7 @@ test("a stop goes around a link that is frozen", async (t) => {
   await goesAround(page);
   assert.ok(took < 1000, `${took} ms`);
   hub.relay.thaw();
-  await page.locator("mom-stop .report").getByText(/stands, measured, after/).waitFor();
+  await page.locator("mom-stop .report").getByText(/at rest, measured, after/).waitFor();
 });
 
 test("a stop goes around a link that is frozen for who has logged in by a key, too", async (t) => {
@@ -237,7 +237,7 @@ test("a stop gets out as soon as the network does, though all that was tried bef
   hub.relay.frozen = false;
   const took = await press(page, () => undefined, () => undefined);
   assert.ok(took < 1500, `${took} ms`);
-  await page.locator("mom-stop .report").getByText(/stands, measured, after/).waitFor();
+  await page.locator("mom-stop .report").getByText(/at rest, measured, after/).waitFor();
   hub.relay.thaw();
 });
 

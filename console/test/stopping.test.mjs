@@ -124,7 +124,7 @@ test("only what the page has shown is let go, and a newer stop is told with who 
 
 test("one robot of a fleet: what was not shown is shown first", async () => {
   const { asked, stopping, shown } = worker({ answers: { stops: stopped(4, "bob", "smoke"), unstop: { channels: [told("/r", 4, [{ peer: "r", word: "unstopped" }])], others: 0, denied: [] } } });
-  await assert.rejects(stopping.one("unstop", "/r", { stops: {} }), /bob has stopped it: smoke/);
+  await assert.rejects(stopping.one("unstop", "/r", { stops: {} }), /bob stopped it: smoke/);
   await stopping.one("unstop", "/r", { stops: { "/r": 4 } });
   assert.deepEqual(asked, [["stops", "/r"], ["unstop", "/r", 4, {}]]);
   assert.deepEqual(await shown(), []);
@@ -208,7 +208,7 @@ test("stops of single channels go around the link each, and one that nobody take
   assert.deepEqual(asked.map(([path]) => path), ["/a", "/b", "/c"]);
   const shut = around({ opens: async () => Promise.reject(new Error("no door opened")) });
   shut.link.stop = shut.link.lookup = async () => Promise.reject(new Error("lost"));
-  await assert.rejects(shut.stopping.one("stop", "/a", {}), /NOT CONFIRMED: the hub has not taken the order for \/a/);
+  await assert.rejects(shut.stopping.one("stop", "/a", {}), /NOT CONFIRMED: the hub has not accepted the order for \/a/);
   await shut.stopping.order("stop", "/", {});
   assert.deepEqual([shut.report().taken, shut.report().over], [false, true]);
   // The link may still be silent when every way has been tried: it is not confirmed all the while.
@@ -218,7 +218,7 @@ test("stops of single channels go around the link each, and one that nobody take
   assert.deepEqual([dumb.report().taken, dumb.report().over], [false, false]);
 });
 
-test("whoever has logged in, by whatever proof, can open the second connection", async () => {
+test("a user logged in by any proof can open the second connection", async () => {
   const { proofOf } = await load("worker/session.ts");
   const { privateKey } = await crypto.subtle.generateKey({ name: "Ed25519" }, false, ["sign", "verify"]);
   const address = "ws://hub";

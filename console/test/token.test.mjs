@@ -1,4 +1,4 @@
-// What a page knows of tokens: one state of each, and what is asked, whoever looks.
+// What a page knows of tokens: one state of each, and what is asked, for all panels.
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { load } from "./bundle.mjs";
@@ -69,9 +69,9 @@ test("tokens that are lost for one reason are told together, and what was given 
   tokensOf(hub);
   hub.own("/robot/token", null, "released", "alice");
   for (const unit of [1, 2, 3]) hub.own(`/fleet/${unit}/token`, null, "preempted", "carol");
-  assert.match(tokenOf(hub, "/fleet/2/token").lost, /You lost \/fleet\/2\/token: somebody of a higher level took it, by carol/);
+  assert.match(tokenOf(hub, "/fleet/2/token").lost, /You lost \/fleet\/2\/token: a user of a higher level took it, by carol/);
   while (!hub.notes.length) await new Promise((resolve) => setTimeout(resolve, 5));
-  assert.deepEqual(hub.notes, [["warning", "You lost 3 tokens (/fleet/1/token and others): somebody of a higher level took it, by carol."]]);
+  assert.deepEqual(hub.notes, [["warning", "You lost 3 tokens (/fleet/1/token and others): a user of a higher level took it, by carol."]]);
 });
 
 test("who does not wait has no place in the queue", async (t) => {

@@ -14,7 +14,7 @@ pub trait Manager: Send + std::fmt::Debug {
         Terms::default()
     }
 
-    /// What it knows of a context that whoever may ask for its `info` should know as well, such as where a zone is.
+    /// What it knows of a context that a peer with a right to its `info` should know as well, such as where a zone is.
     fn facts(&self, _context: &Path) -> Map {
         Map::new()
     }

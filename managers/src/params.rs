@@ -51,7 +51,7 @@ impl Setup<'_> {
             .filter(|micros| (1..LONGEST).contains(micros))
             .ok_or_else(|| {
                 let text = format!(
-                    "{key} is a number of ms from 1 to {}; leave it out for the default",
+                    "{key} must be a number of ms from 1 to {}; leave it out for the default",
                     LONGEST / 1000
                 );
                 self.error(key, &text)

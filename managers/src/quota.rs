@@ -117,7 +117,7 @@ fn make_bucket(
 ) -> Result<Bucket, WireError> {
     let check = |key: &str, number: u64| match (1..=HIGHEST).contains(&number) {
         true => Ok(number),
-        false => Err(setup.error(key, &format!("a rate is a number from 1 to {HIGHEST}"))),
+        false => Err(setup.error(key, &format!("a rate must be a number from 1 to {HIGHEST}"))),
     };
     match (rate, burst) {
         (None, None) => Ok(Bucket::UNLIMITED),

@@ -65,7 +65,7 @@ fn make_zone(setup: &Setup<'_>, index: usize, params: &ZoneParams) -> Result<Zon
     let token = Path::parse(&params.token).map_err(|error| setup.error(&key("token"), &error.text))?;
     for ((from, to), axis) in params.from.into_iter().zip(params.to).zip(["x", "y", "z"]) {
         if !(from.is_finite() && to.is_finite() && from < to) {
-            let text = format!("{axis} goes from {from} to {to}; the second number has to be greater");
+            let text = format!("{axis} goes from {from} to {to}; the second number must be greater");
             return Err(setup.error(&key("to"), &text));
         }
     }

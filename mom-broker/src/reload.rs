@@ -43,7 +43,7 @@ pub struct Changes {
 impl Broker {
     /// Goes by another configuration from now on, but for what cannot change while it runs, which the report names.
     ///
-    /// Whoever is connected stays so, unless its user is no more; `limits` hold for connections that come after.
+    /// Connected peers stay so, unless their user was removed; `limits` hold for connections that come after.
     ///
     /// # Errors
     /// The configuration is wrong; nothing was changed.

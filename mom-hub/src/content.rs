@@ -36,5 +36,5 @@ pub(crate) fn micros(millis: u64, slot: &str) -> Result<Micros, WireError> {
     let micros = millis.checked_mul(1000);
     micros
         .filter(|micros| *micros > 0 && *micros < 1 << 53)
-        .ok_or_else(|| bad(slot, format!("{slot} is a number of ms from 1 on")))
+        .ok_or_else(|| bad(slot, format!("{slot} must be a number of ms, at least 1")))
 }

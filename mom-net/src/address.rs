@@ -101,7 +101,7 @@ impl Address {
         };
         let ways = match here.is_private() {
             true => [with(false), with(true)].concat(),
-            // Whoever sees the id of a tunnel could take it over.
+            // Anyone who sees the id of a tunnel could take it over.
             false => [&with(true)[..], &with(false)[..2]].concat(),
         };
         let address = |(door, tls): (Door, bool)| Address {
@@ -194,7 +194,7 @@ const SCHEMES: [Scheme; 12] = [
 fn read(text: &str) -> Result<Address, String> {
     let (name, rest) = text
         .split_once("://")
-        .ok_or("it does not begin with bin:// or tcp://")?;
+        .ok_or("the address must begin with bin:// or tcp://")?;
     let known = SCHEMES.iter().find(|scheme| scheme.name == name);
     let scheme = known.ok_or_else(|| format!("{name}:// is not a scheme of a hub"))?;
     let (door, tls) = (scheme.door, scheme.tls);
@@ -203,7 +203,7 @@ fn read(text: &str) -> Result<Address, String> {
     for part in query.split('&').filter(|part| !part.is_empty()) {
         match part.split_once('=') {
             Some(("pin", _)) if !tls && !scheme.any => {
-                return Err(format!("a fingerprint is for TLS: {name}s://"));
+                return Err(format!("a fingerprint requires TLS: {name}s://"));
             }
             Some(("pin", text)) => pin = Some(read_pin(text)?),
             Some(("form", _)) if door == Door::Stream => {
@@ -213,7 +213,11 @@ fn read(text: &str) -> Result<Address, String> {
             }
             Some(("poll", "1")) if door == TUNNEL => door = Door::Tunnel { polled: true },
             Some(("form", text)) => form = read_form(text, door)?,
-            _ => return Err("after ? comes pin= and a fingerprint, or form= and a form".to_owned()),
+            _ => {
+                return Err(
+                    "after ? only pin= with a fingerprint or form= with a form may follow".to_owned(),
+                );
+            }
         }
     }
     let (authority, path) = match rest.find('/') {
@@ -233,7 +237,7 @@ fn read(text: &str) -> Result<Address, String> {
     let inside = host.strip_prefix('[').and_then(|host| host.strip_suffix(']'));
     let named = |c: char| c.is_alphanumeric() || matches!(c, '-' | '.' | '_');
     match (inside, host) {
-        (None, "") => Err("it has no host".to_owned()),
+        (None, "") => Err("the address has no host".to_owned()),
         (None, _) if host.contains(':') => Err("write an IPv6 address in brackets, as [::1]".to_owned()),
         (None, _) if !host.chars().all(named) => Err(format!("{host:?} is not a host name")),
         (Some(inside), _) if !inside.contains(':') => {
@@ -271,7 +275,7 @@ fn read_port(text: &str) -> Result<u16, String> {
         "" => Err("its port is missing after the colon".to_owned()),
         _ => text
             .parse()
-            .map_err(|_| format!("a port is a number from 0 to 65535, not {text:?}")),
+            .map_err(|_| format!("a port must be a number from 0 to 65535, not {text:?}")),
     }
 }
 

@@ -15,7 +15,7 @@ pub enum NetError {
     Wire(#[from] WireError),
     /// No address, and what is wrong with it.
     #[error(
-        "{text:?} is not an address of a hub: {why}; write bin://HOST:PORT (binary) or tcp://HOST:PORT (XML), bins:// or tcps:// with TLS"
+        "{text:?} is not the address of a hub: {why}; write bin://HOST:PORT (binary) or tcp://HOST:PORT (XML), bins:// or tcps:// with TLS"
     )]
     Address {
         /// What was written.

@@ -22,7 +22,7 @@ pub struct TcpState {
 pub enum Privacy {
     /// It is in this process.
     Local,
-    /// Whoever is between can read along.
+    /// Others on the path can read along.
     Plain,
     /// Nobody between can read along.
     Tls {

@@ -1,6 +1,6 @@
 //! The header that a proxy puts in front of a connection, to tell whose it is: PROXY protocol, versions 1 and 2.
 //!
-//! Whoever writes it says who he is, so it is read only from the proxies that the configuration names. Its last part, where a
+//! Its author can claim anything, so it is read only from the proxies that the configuration names. Its last part, where a
 //! proxy may speak of a TLS that ended there, is skipped: nobody here has seen that.
 
 use std::io;

@@ -192,7 +192,7 @@ impl Reader {
     }
 
     /// The plain message in front of what has arrived, if there is one and this link speaks the binary form.
-    /// Whoever takes it says so by [`Reader::consume`].
+    /// The taker says so by [`Reader::consume`].
     pub fn plain(&self) -> Option<Plain<'_>> {
         match &self.source {
             Source::Stream {

@@ -126,7 +126,7 @@ impl WireError {
         map
     }
 
-    /// Reads what [`WireError::to_map`] has made, such as a device's refusal; what is no such map has at least a code.
+    /// Reads what [`WireError::to_map`] has made, such as a device's refusal; another map has at least a code.
     pub fn from_map(map: &Map) -> WireError {
         let mut details = map.clone();
         match details.remove("name") {

@@ -74,7 +74,7 @@ pub enum Reason {
     Given,
     /// A token given for a time or a number of commands returned to the giver.
     Returned,
-    /// Somebody stopped the device, and the token says that a stop ends its owner's grant.
+    /// A peer stopped the device, and the token says that a stop ends its owner's grant.
     Stopped,
 }
 

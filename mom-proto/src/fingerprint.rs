@@ -19,7 +19,7 @@ pub struct Fingerprint([u8; 32]);
 
 /// Text that is not a fingerprint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("a fingerprint is sha256: and 64 hexadecimal digits, colons between them are allowed")]
+#[error("a fingerprint must be sha256: and 64 hexadecimal digits; colons between them are allowed")]
 pub struct BadFingerprint;
 
 impl Fingerprint {

@@ -23,7 +23,7 @@ pub fn encode(value: &Value, out: &mut Vec<u8>) -> Result<(), WireError> {
         Value::Double(number) if number.is_finite() => put::write_f64(out, *number).map_err(|_| too_long()),
         Value::Double(number) => Err(WireError::new(
             Code::NOT_ENCODABLE,
-            format!("a double has to be finite, not {number}"),
+            format!("a double must be finite, not {number}"),
         )),
         Value::String(text) => encode_text(text, out),
         Value::Time(time) => encode_time(*time, out),
@@ -58,7 +58,7 @@ fn encode_text(text: &str, out: &mut Vec<u8>) -> Result<(), WireError> {
         None => put::write_str(out, text).map_err(|_| too_long()),
         Some(at) => {
             let character = text[at..].chars().next().unwrap_or_default();
-            let text = format!("the character {character:?} may not stand in a string");
+            let text = format!("the character {character:?} is not allowed in a string");
             Err(WireError::new(Code::NOT_ENCODABLE, text))
         }
     }
@@ -99,7 +99,7 @@ pub(crate) enum Item<'a> {
     Map(usize),
 }
 
-/// Reads values item by item, so that whoever passes them on needs no memory for all of them.
+/// Reads values item by item, so that passing them on needs no memory for all of them.
 pub(crate) struct ItemReader<'a> {
     bytes: &'a Bytes,
     position: usize,

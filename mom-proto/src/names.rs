@@ -56,7 +56,7 @@ pub fn check_text(text: &str) -> Result<(), WireError> {
         Some(position) => Err(WireError::new(
             Code::BAD_ENCODING,
             format!(
-                "character {:?} may not stand in a string",
+                "character {:?} is not allowed in a string",
                 text[position..].chars().next().unwrap_or_default()
             ),
         )

@@ -1,4 +1,4 @@
-//! Content that is compressed on its way (M16): each by itself, so that a hub passes it on as it came, and whoever joins
+//! Content that is compressed on its way (M16): each by itself, so that a hub passes it on as it came, and a receiver that joins
 //! late or loses one can read the next.
 
 use std::cell::RefCell;

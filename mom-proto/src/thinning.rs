@@ -122,7 +122,7 @@ impl fmt::Display for MessageRate {
 
 fn wrong(found: &dyn fmt::Display) -> WireError {
     let text = format!(
-        "a rate is a number from 1 to {} of messages per second, or a text as \"5/s\" or \"12/min\", not {found}",
+        "a rate must be a number from 1 to {} of messages per second, or a text as \"5/s\" or \"12/min\", not {found}",
         MessageRate::MOST
     );
     WireError::new(Code::BAD_CONTENT, text).slot("content/rate")

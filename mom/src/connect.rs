@@ -186,7 +186,7 @@ fn unknown(hub: &str, who: &UserLogin<'_>, error: &WireError) -> Failure {
         Proof::Key(key) => Failure::new(
             known("key"),
             format!(
-                "the user's entry in the hub's users file has to hold: keys = [\"{}\"]",
+                "the user's entry in the hub's users file must have: keys = [\"{}\"]",
                 key.public()
             ),
         ),

@@ -17,15 +17,15 @@ pub fn duration(text: &str) -> Result<Duration, String> {
         "s" => 1.0,
         "m" | "min" => 60.0,
         "h" => 3600.0,
-        _ => return Err("a time is a number with ms, s, m or h: 250ms, 5s, 2m".to_owned()),
+        _ => return Err("a time must be a number with ms, s, m or h: 250ms, 5s, 2m".to_owned()),
     };
     let number: f64 = number
         .parse()
-        .map_err(|_| "a time begins with a number: 5s".to_owned())?;
+        .map_err(|_| "a time must begin with a number: 5s".to_owned())?;
     let time = Duration::try_from_secs_f64(number * factor).ok();
     // Milliseconds go over the wire.
     time.filter(|time| u64::try_from(time.as_millis()).is_ok())
-        .ok_or_else(|| "that is too long a time".to_owned())
+        .ok_or_else(|| "this time is too long".to_owned())
 }
 
 /// The same within bounds, as clap takes it for the values of an option.
@@ -37,7 +37,7 @@ pub fn duration_within(
         match bounds.contains(&time) {
             true => Ok(time),
             false => Err(format!(
-                "it is a time from {} to {}",
+                "it must be a time from {} to {}",
                 shown(*bounds.start()),
                 shown(*bounds.end())
             )),
@@ -83,9 +83,9 @@ mod tests {
             ("-5s", "a number with"),
             ("1e3s", "a number with"),
             ("infs", "a number with"),
-            ("s", "begins with a number"),
-            (".s", "begins with a number"),
-            ("1.2.3s", "begins with a number"),
+            ("s", "begin with a number"),
+            (".s", "begin with a number"),
+            ("1.2.3s", "begin with a number"),
             ("99999999999999999999s", "too long"),
             ("9999999999999999999h", "too long"),
         ] {
@@ -101,11 +101,11 @@ mod tests {
         for text in ["0s", "61m"] {
             assert_eq!(
                 read(text),
-                Err("it is a time from 1ms to 1h".to_owned()),
+                Err("it must be a time from 1ms to 1h".to_owned()),
                 "{text}"
             );
         }
         let read = duration_within(Duration::ZERO..=Duration::from_secs(90));
-        assert_eq!(read("2m"), Err("it is a time from 0ms to 90s".to_owned()));
+        assert_eq!(read("2m"), Err("it must be a time from 0ms to 90s".to_owned()));
     }
 }

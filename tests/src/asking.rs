@@ -75,7 +75,7 @@ impl Asking {
         let _ = sent.expect("the broker reads or closes");
     }
 
-    /// The connection, once it is no more for requests, and what has come on it.
+    /// The connection, once it takes no more requests, and what has come on it.
     pub fn into_parts(self) -> (TcpStream, BytesMut) {
         (self.stream, self.input)
     }

@@ -111,7 +111,7 @@ async fn exchange(operator: &mut Raw, robot: &mut Raw, number: u64, fence: u64) 
         // Who comes and goes is not a message; a halt would be one.
         match parcel.family {
             Family::Event | Family::Time => answer(robot, &parcel).await,
-            // What somebody says who owns nothing.
+            // What a peer says that owns nothing.
             Family::Message if parcel.name() == "note" => {}
             _ => break parcel,
         }

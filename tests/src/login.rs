@@ -108,7 +108,7 @@ pub async fn token(raw: &mut Raw, token: &str) -> Result<Value, WireError> {
     log_in(raw, Map::new().with("token", token)).await
 }
 
-/// Somebody who signs tokens.
+/// An issuer that signs tokens.
 #[derive(Debug)]
 pub struct Issuer(SigningKey);
 

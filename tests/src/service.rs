@@ -151,7 +151,7 @@ impl Service {
             .signal(name);
     }
 
-    /// Kills it as a power cut does, and waits until it is no more.
+    /// Kills it as a power cut does, and waits until it has ended.
     pub async fn kill(self) {
         self.end("KILL").await;
     }

@@ -34,7 +34,7 @@
 //! for (text, said) in [
 //!     ("port = 70000", "line 1, column 8: a port is 0 to 65535"),
 //!     ("host = 1\nprot = 4000", "line 2, column 1: there is no key `prot`; did you mean `port`?"),
-//!     ("port = '4000'", "line 1, column 8: an integer is expected here, and this is a text"),
+//!     ("port = '4000'", "line 1, column 8: expected an integer, found a text"),
 //!     ("", "line 1, column 1: `port` is missing"),
 //! ] {
 //!     assert_eq!(port(text).unwrap_err().to_string(), said);

@@ -149,7 +149,7 @@ impl At<Item> {
     /// That something else is expected here.
     #[must_use]
     pub fn wrong_type(&self, expected: &str) -> Misfit {
-        let words = format!("{expected} is expected here, and this is {}", self.value.is());
+        let words = format!("expected {expected}, found {}", self.value.is());
         Misfit(Found::new(Shape::Type, &self.span, words))
     }
 

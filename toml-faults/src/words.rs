@@ -2,13 +2,14 @@
 
 pub use mom_nearest::nearest;
 
-/// What helps whoever wrote an unknown word: the nearest known one, or all that there are.
+/// What helps the author of an unknown word: the nearest known one, or all of them.
 #[must_use]
 pub fn hint(word: &str, known: &[&str]) -> String {
     match nearest(word, known.iter().copied()) {
         Some(nearest) => format!("did you mean `{nearest}`?"),
-        None if known.is_empty() => "there is none here".to_owned(),
-        None => format!("there are `{}`", known.join("`, `")),
+        None if known.is_empty() => "none are defined here".to_owned(),
+        None if known.len() == 1 => format!("expected `{}`", known.join("")),
+        None => format!("expected one of `{}`", known.join("`, `")),
     }
 }
 
@@ -23,7 +24,7 @@ pub fn unknown(what: &str, word: &str, known: &[&str]) -> String {
     format!("there is no {what} `{}`; {}", quoted(word), hint(word, known))
 }
 
-/// A word of somebody else's text as an error quotes it: in one line, printable, and of at most 64 characters.
+/// A word of another's text as an error quotes it: in one line, printable, and of at most 64 characters.
 #[must_use]
 pub fn quoted(word: &str) -> String {
     const MOST: usize = 64;
@@ -47,9 +48,12 @@ mod tests {
     #[test]
     fn a_similar_word_is_offered_and_otherwise_all() {
         assert_eq!(hint("moter", &["leds", "motor"]), "did you mean `motor`?");
-        assert_eq!(hint("sing", &["leds", "motor"]), "there are `leds`, `motor`");
-        assert_eq!(hint("sing", &[]), "there is none here");
-        assert!(hint(&"m".repeat(1000), &["motor"]).starts_with("there are"));
+        assert_eq!(
+            hint("sing", &["leds", "motor"]),
+            "expected one of `leds`, `motor`"
+        );
+        assert_eq!(hint("sing", &[]), "none are defined here");
+        assert!(hint(&"m".repeat(1000), &["motor"]).starts_with("expected `motor`"));
     }
 
     #[test]

@@ -26,7 +26,7 @@ impl Counts {
         self.passed > 0 && self.failed == 0
     }
 
-    /// Shows the failed tests once more: at the end of a long output, where somebody looks, and before the counts.
+    /// Shows the failed tests once more: at the end of a long output, where people look, and before the counts.
     pub(crate) fn show_failures(&self) {
         for line in &self.failures {
             println!("failed: {line}");

@@ -46,7 +46,7 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
     javascript::build(root)?;
     // The programs that are tested have it.
     console::build(root)?;
-    // Whoever asks for a part of the tests asks cargo for it, and the tests build the programs that they start.
+    // A user who wants a part of the tests asks cargo for it, and the tests build the programs that they start.
     let whole = args.is_empty();
     let programs = clients::target(root).join("debug");
     // Before, because nothing is printed for long while it builds.

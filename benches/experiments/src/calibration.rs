@@ -126,7 +126,7 @@ fn markdown(cells: &Cells, scale: f64, runs: usize) -> String {
         "The paper: \"recording the position of the robot in camera images for 20 different robot poses, the camera matrix is then obtained by a least squares fit\". It gives no error. \
          Here a camera whose matrix is known (the lab's x, 640×480; a pixel is {scale:.1} mm wide at the middle of the table) is calibrated {runs} times for each number of poses and each noise, by the code of `mom calibrate`. \
          The first number is the median of the fit's own RMS, which a calibration can tell; the second, *fresh*, is the RMS at {POINTS} points all over the workspace that the fit has not seen, \
-         which only somebody with the true matrix can tell; the third is what 95 % of the calibrations do not exceed of it.\n\n\
+         which only the true matrix can tell; the third is what 95 % of the calibrations do not exceed of it.\n\n\
          **Inputs:** the noise, normal, in both directions of the image; poses of `mom calibrate`, shifted at random; they keep 130 mm above the table, so that fresh points near the table are beyond what was measured; the pose and the marker's place in the hand known exactly, no lens distortion, no marker that is found wrongly.\n\n\
          | poses; fit / fresh / 95 %, pixels |"
     );

@@ -12,7 +12,7 @@ use tempfile::TempDir;
 use super::Settings;
 use mom_benches::Process;
 
-/// What may wait at the bottleneck, as the time in which it leaves: whoever fills it has filled it for seconds.
+/// What may wait at the bottleneck, as the time in which it leaves: a sender that fills it has filled it for seconds.
 const QUEUE: Duration = Duration::from_secs(4);
 
 /// A broker, and where its near and its far peers are; all of it is gone with this.

@@ -183,7 +183,7 @@ async fn send_all(
     has: watch::Receiver<usize>,
 ) -> Result<Times> {
     heard(&mut arrivals, "ready").await?;
-    // Whoever sends the image is another: a stop must not wait in its sender's queue.
+    // Another peer sends the image: a stop must not wait in its sender's queue.
     let (camera, operator) = (guest(address).await?, guest(address).await?);
     let (images, stops) = (camera.channel(CHANNEL).await?, operator.channel(CHANNEL).await?);
     let feeding = tokio::spawn(feed(images, load, window(load, rate), has.clone()));
@@ -294,7 +294,7 @@ fn shown(times: &[f64]) -> String {
 
 fn markdown(links: &[(&str, f64)], measured: &[Vec<Row>], rounds: usize) -> String {
     let mut text = format!(
-        "A robot at the far end of a link is being sent an image of {} MB. Somebody beside the broker sends it, {rounds} times each, in random moments, a stop, \
+        "A robot at the far end of a link is being sent an image of {} MB. A peer beside the broker sends it, {rounds} times each, in random moments, a stop, \
          a message of priority 50 and an `unstop` (which goes as replies and events do: the control lane). The table has p50 / p99 / the worst of the time until the robot has it, \
          without the link's own delay; *floor* is the time of one chunk at the link's rate, and the image as a whole would be {}. The first 3 s of each image are left out.\n\n\
          **Inputs:** the links, both ways alike, with {} ms one way, nothing lost, a queue of 4 s at the bottleneck, emulated by a packet relay between two network \

@@ -55,7 +55,7 @@ struct Row {
     outcomes: Vec<Outcome>,
 }
 
-/// Somebody in the queue.
+/// A peer in the queue.
 #[derive(Debug)]
 struct Waiter {
     level: i32,
@@ -426,7 +426,7 @@ fn markdown(rows: &[Row], queue: &[Waiter], facts: &[Fact]) -> String {
     let _ = write!(
         text,
         "\n{} of {cases} decisions are the paper's; {different} are not. The difference is in who may ask at all: the lab lets users of level 1 and more drive, so one of level 0, a guest or a device, is refused whatever the time. \
-         The paper is silent on four points, and the hub's answers are readings of M29: the 3 minutes are over at 180 s and not after them; only `renew`, or a grab of one's own, renews, commands do not; an owner whose time is over drives on, and may renew, until somebody asks; \
+         The paper is silent on four points, and the hub's answers are readings of M29: the 3 minutes are over at 180 s and not after them; only `renew`, or a grab of one's own, renews, commands do not; an owner whose time is over drives on, and may renew, until another peer asks; \
          and who is refused may wait in a queue, which goes by level and then by arrival. The plot shows how long one that waits has to.\n\n![Time until the asker owns the token](images/{IMAGES}-token-table.svg)\n",
         cases - different
     );

@@ -181,7 +181,7 @@ fn moves(random: &mut Rng, least: usize, most: usize, after: &str) -> String {
     (0..count).map(|_| one()).collect::<Vec<_>>().join("; ")
 }
 
-/// Somebody who jogs.
+/// A peer that jogs.
 #[derive(Debug, Default)]
 struct Hand {
     /// mm/s.

@@ -9,7 +9,7 @@ use crate::{Access, Counts, Micros, Position, Settings, Station};
 /// A frame that waits for its turn.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Frame {
-    /// Whoever queued it knows it by this.
+    /// The sender knows it by this.
     pub(crate) id: u64,
     pub(crate) to: Station,
     /// Octets of its IP packet.

@@ -1,4 +1,4 @@
-//! The canary: somebody says stop to a receiver while a publisher floods it, or a receiver beside it that reads
+//! The canary: a peer says stop to a receiver while a publisher floods it, or a receiver beside it that reads
 //! nothing. How long does that take beside an idle hub, and what does the flood cost the hub?
 
 use std::io::{ErrorKind, Read};
@@ -52,7 +52,7 @@ const WARM_UP: Duration = Duration::from_millis(500);
 const RECEIVE_BUFFER: usize = 32 * 1024;
 /// Read at once by a receiver that takes its time.
 const BITE: usize = 8 * 1024;
-/// How long a read or a pause may last before somebody looks whether all is over.
+/// How long a read or a pause may last before the end is checked.
 const LOOK: Duration = Duration::from_millis(50);
 
 struct Shared {

@@ -94,7 +94,7 @@ impl Gateway {
         loop {
             let (near, _) = listener.accept().await?;
             let gateway = self.clone();
-            // Whoever is refused hears the end of its connection.
+            // A refused client sees its connection end.
             tokio::spawn(async move { gateway.pass(near).await });
         }
     }

@@ -1,4 +1,4 @@
-//! The saturated stop: a camera sends more than the link to a subscriber carries, somebody says stop to it now and
+//! The saturated stop: a camera sends more than the link to a subscriber carries, a peer says stop to it now and
 //! then. How long does that take, and do all arrive?
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

@@ -164,7 +164,7 @@ fn bench_at(ends: &Namespaces) -> Bench {
         Config::load(&folder.path().join("mom.toml")).expect("the broker's configuration is right");
     config.listen = vec![format!("{}:0", ends.hub.host()).into()];
     let runtime = Runtime::new().expect("there are threads");
-    // The listening socket belongs to the namespace, whoever polls it.
+    // The listening socket belongs to the namespace, not to the thread that polls it.
     let broker = ends.hub.within(|| runtime.block_on(Broker::start(config)));
     let broker = broker
         .expect("the namespace is there")

@@ -100,7 +100,7 @@ pub trait Driver: Send + Sync {
     /// Finds parcels made from templates of this driver in a receiver's bytes.
     fn scanner(&self) -> Box<dyn Scanner>;
 
-    /// Whether a peer hears itself whatever it asks for, so that somebody has to read that.
+    /// Whether a peer hears itself whatever it asks for, so that a task has to read that.
     fn reflects(&self) -> bool {
         false
     }

@@ -74,7 +74,7 @@ impl Trips {
         self.took.borrow().iter().filter(|took| took.is_none()).count()
     }
 
-    /// What never came took as long as somebody waited for it.
+    /// What never came took as long as it was waited for.
     fn delays(&self) -> Delays {
         let (sent, took) = (self.sent.borrow(), self.took.borrow());
         let all = sent.iter().zip(took.iter());

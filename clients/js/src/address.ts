@@ -47,9 +47,9 @@ export function doorsOf(addresses: string, secret: boolean, secureOnly: boolean)
 function doorsOfOne(address: string, secret: boolean, secureOnly: boolean): Door[] {
   const [, scheme = "", host = "", port, query = ""] = ADDRESS.exec(address) ?? [];
   const polled = query === "poll=1";
-  if (!host || (query && !polled)) throw local("bad-path", `${JSON.stringify(address)} is not an address of a hub: write mom://HOST, wss://HOST or https://HOST`);
+  if (!host || (query && !polled)) throw local("bad-path", `${JSON.stringify(address)} is not the address of a hub: write mom://HOST, wss://HOST or https://HOST`);
   const named = port === undefined ? undefined : Number(port);
-  if (named !== undefined && (named < 1 || named > 65535)) throw local("bad-path", `${address}: a port is a number from 1 to 65535`);
+  if (named !== undefined && (named < 1 || named > 65535)) throw local("bad-path", `${address}: a port must be a number from 1 to 65535`);
   const door = (kind: Door["kind"], tls: boolean, usual: number): Door => ({ kind, tls, host, port: named ?? usual, polled });
   let doors: Door[];
   switch (scheme) {
@@ -72,7 +72,7 @@ function doorsOfOne(address: string, secret: boolean, secureOnly: boolean): Door
   return doors;
 }
 
-/** A tunnel without TLS is taken from loopback only, since whoever sees its id could take it over. */
+/** A tunnel without TLS is taken from loopback only, since anyone who sees its id could take it over. */
 function all(door: (kind: Door["kind"], tls: boolean, usual: number) => Door, port: number | undefined, tls: boolean): Door[] {
   const doors = [door("websocket", true, PORT), door("websocket", false, PORT), door("tunnel", true, PORT), door("tunnel", false, PORT)];
   if (port === undefined) doors.push(door("websocket", true, 443), door("tunnel", true, 443));

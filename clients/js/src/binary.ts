@@ -87,7 +87,7 @@ export function decode(bytes: Uint8Array, exact = false): Parcel {
   const has = (bit: number): boolean => ((low >> bit) & 1) === 1;
   const parcel: Parcel = { family: "message", name: "" };
   if (has(0)) parcel.number = reader.varint();
-  if (!has(1)) throw local("bad-slot", "a parcel has no name");
+  if (!has(1)) throw local("bad-slot", "the parcel has no name");
   parcel.name = readName(reader);
   if (has(2)) parcel.sender = readName(reader);
   if (has(3)) parcel.timestamp = new Time(reader.i64());

@@ -104,7 +104,7 @@ export class Reader {
 
   #skip(count: number): number {
     const at = this.at;
-    if (count > this.left) throw local("bad-content", `${count} bytes are announced at ${at}, ${this.left} are there`);
+    if (count > this.left) throw local("bad-content", `${count} bytes are announced at ${at}, but only ${this.left} are left`);
     this.at += count;
     return at;
   }
@@ -138,7 +138,7 @@ export class Reader {
     try {
       return DECODER.decode(this.take(count));
     } catch (error) {
-      throw error instanceof TypeError ? local("bad-encoding", "a text is not UTF-8") : error;
+      throw error instanceof TypeError ? local("bad-encoding", "a string is not UTF-8") : error;
     }
   }
 

@@ -33,7 +33,7 @@ export class Frames {
     if (!this.#greeted && !this.#greet()) return;
     while (this.#end - this.#begin >= 4) {
       const length = new Reader(this.#bytes.subarray(this.#begin, this.#end)).u32();
-      if (length > this.most) throw local("too-large", `the hub announces ${length} bytes, above its ${this.most}`);
+      if (length > this.most) throw local("too-large", `the hub announces a frame of ${length} bytes, above its limit of ${this.most}`);
       if (length === 0) throw local("bad-frame", "a frame has no kind");
       if (this.#end - this.#begin < 4 + length) return;
       const frame = this.#bytes.subarray(this.#begin + 4, this.#begin + 4 + length);
@@ -47,7 +47,7 @@ export class Frames {
       } else if (kind === CHUNK) {
         const whole = this.#chunk(new Reader(frame.subarray(1)));
         if (whole) yield whole;
-      } else if (kind < 128) throw local("bad-frame", `${kind} is not a kind of frames`);
+      } else if (kind < 128) throw local("bad-frame", `${kind} is not a kind of frame`);
     }
   }
 
@@ -72,7 +72,7 @@ export class Frames {
   #greet(): boolean {
     const held = Math.min(this.#end - this.#begin, PREFACE.length);
     for (let at = 0; at < Math.min(held, 4); at++) {
-      if (this.#bytes[this.#begin + at] !== PREFACE[at]) throw local("bad-frame", "who answers is not a hub that speaks the binary form");
+      if (this.#bytes[this.#begin + at] !== PREFACE[at]) throw local("bad-frame", "the answer is not from a hub that speaks the binary form");
     }
     if (held < PREFACE.length) return false;
     const major = this.#bytes[this.#begin + 4];
@@ -99,19 +99,19 @@ export class Frames {
       const open = [...this.#streams.values()].reduce((sum, stream) => sum + stream.whole.length, length);
       if (stream) throw broken("it is open already");
       if (this.#streams.size >= STREAMS) throw broken(`more than ${STREAMS} are open`);
-      if (open > this.most) throw local("too-large", `${open} bytes are announced in chunks, above its ${this.most}`);
+      if (open > this.most) throw local("too-large", `${open} bytes are announced in chunks, above the hub's limit of ${this.most}`);
       stream = { whole: new Uint8Array(length), at: 0 };
       this.#streams.set(number, stream);
     }
     if (!stream) throw broken("it is not open");
     const bytes = reader.take(reader.left);
-    if (stream.at + bytes.length > stream.whole.length) throw broken("it is longer than it said");
+    if (stream.at + bytes.length > stream.whole.length) throw broken("it is longer than announced");
     stream.whole.set(bytes, stream.at);
     stream.at += bytes.length;
     if (!(flags & LAST)) return null;
     this.#streams.delete(number);
-    if (stream.at < stream.whole.length || stream.at === 0) throw broken("it is shorter than it said");
-    if (stream.whole[0] !== PARCEL) throw broken("it holds no parcel");
+    if (stream.at < stream.whole.length || stream.at === 0) throw broken("it is shorter than announced");
+    if (stream.whole[0] !== PARCEL) throw broken("it does not hold a parcel");
     return stream.whole.subarray(1);
   }
 }

@@ -42,7 +42,7 @@ export class Key {
     try {
       return new Key(await supported(crypto.importKey("pkcs8", plain, ED25519, false, ["sign"])));
     } catch (error) {
-      if (error instanceof DOMException && error.name === "DataError") throw local("bad-encoding", "this is not a private key of Ed25519");
+      if (error instanceof DOMException && error.name === "DataError") throw local("bad-encoding", "this is not an Ed25519 private key");
       throw error;
     }
   }

@@ -10,7 +10,7 @@ import { type Fields, fieldsOf, text } from "./value.js";
 export type Turn = { turn: "stop"; why: string } | { turn: "free" | "halt" | "same" };
 
 /**
- * Why a device may not move: somebody has stopped it; it has stopped itself, and the hub has not given that a number yet (`own`); or it has
+ * Why a device may not move: a peer has stopped it; it has stopped itself, and the hub has not given that a number yet (`own`); or it has
  * not heard on this connection how it stands (`unknown`).
  */
 export interface Held {
@@ -21,7 +21,7 @@ export interface Held {
 
 /** Words of the device for a stop. */
 function stopText(by: string | undefined, reason: string | undefined): string {
-  return `stopped by ${by ?? "somebody"}${reason ? `: ${reason}` : ""}`;
+  return `stopped by ${by ?? "a peer"}${reason ? `: ${reason}` : ""}`;
 }
 
 /**
@@ -74,7 +74,7 @@ export class Latch {
     return this.#held?.held === "own";
   }
 
-  /** Stops by itself, until somebody lifts that. */
+  /** Stops by itself, until a peer lifts that. */
   stopItself(why: string): Turn {
     this.#held ??= { held: "own", text: `stopped by itself: ${why}` };
     return { turn: "stop", why };

@@ -49,7 +49,7 @@ async function ask(wire: Wire, nextId: NextId, name: string, content: Fields): P
 /** Refuses options that no hub takes, before anybody is asked. */
 export function check({ heartbeat }: ConnectOptions): void {
   if (heartbeat === undefined || (Number.isInteger(heartbeat) && heartbeat >= 100 && heartbeat <= 10_000)) return;
-  throw local("bad-content", `heartbeat is a whole number of ms from 100 to 10000, not ${heartbeat}`);
+  throw local("bad-content", `heartbeat must be a whole number of ms from 100 to 10000, not ${heartbeat}`);
 }
 
 /** Logs in. A hub that does not know links yet is asked again without. */
@@ -87,7 +87,7 @@ async function proof(options: ConnectOptions): Promise<Fields> {
   if (given !== 1) throw local("bad-login", `give one of password, key, token and guest, not ${given}`);
   if (guest) return { guest: true };
   if (token !== undefined) return { token: typeof token === "string" ? token : await token() };
-  if (options.user === undefined) throw local("bad-login", "a password or key needs its user");
+  if (options.user === undefined) throw local("bad-login", "a password or key requires `user`");
   return key ? { name: options.user, key: true } : { name: options.user, password };
 }
 
@@ -97,7 +97,7 @@ function challenge(reply: Parcel, context: string): { hub: string; nonce: Uint8A
   const [hub, nonce] = [text(fields, "hub"), fields["nonce"]];
   // A proof must be useless for any other purpose.
   if (text(fields, "context") !== context || hub === undefined || !(nonce instanceof Uint8Array) || nonce.length !== 32) {
-    throw local("bad-content", `the hub's challenge is none of ${context}`);
+    throw local("bad-content", `the hub's challenge is not one for ${context}`);
   }
   return { hub, nonce };
 }

@@ -23,7 +23,7 @@ export function pack(writer: Writer, value: Value, depth = MOST_DEPTH): void {
     head(writer, value.length, [0x90, 16, 0, 0xdc, 0xdd]);
     for (const item of value as readonly Value[]) pack(writer, item, depth - 1);
   } else if (value instanceof Map || isFields(value)) packMap(writer, value, depth);
-  else throw local("not-encodable", `a ${typeof value} has no form on the wire`);
+  else throw local("not-encodable", `a ${typeof value} cannot be sent`);
 }
 
 export function packMap(writer: Writer, map: Map<string, Value> | { readonly [key: string]: Value | undefined }, depth = MOST_DEPTH): void {
@@ -44,7 +44,7 @@ function head(writer: Writer, length: number, [short, below, b8, b16, b32]: [num
 }
 
 function packText(writer: Writer, text: string): void {
-  if (NO_XML.test(text)) throw local("not-encodable", "a text holds a control character or half a surrogate pair");
+  if (NO_XML.test(text)) throw local("not-encodable", "a string has a control character or half a surrogate pair");
   const bytes = utf8(text);
   head(writer, bytes.length, [0xa0, 32, 0xd9, 0xda, 0xdb]).raw(bytes);
 }
@@ -71,7 +71,7 @@ function packInt(writer: Writer, number: bigint): void {
 }
 
 function packDouble(writer: Writer, number: number): void {
-  if (!Number.isFinite(number)) throw local("not-encodable", `${number} has no form on the wire`);
+  if (!Number.isFinite(number)) throw local("not-encodable", `${number} cannot be sent`);
   writer.u8(0xcb).f64(number);
 }
 
@@ -126,7 +126,7 @@ export class Unpacker {
       case 0xde: return this.#map(reader.u16(), depth);
       case 0xdf: return this.#map(reader.u32(), depth);
     }
-    throw local("bad-content", `byte ${kind} begins no value of the protocol`);
+    throw local("bad-content", `no value of the protocol begins with byte ${kind}`);
   }
 
   #int(number: bigint): Value {
@@ -141,13 +141,13 @@ export class Unpacker {
 
   #text(length: number): string {
     const text = this.reader.text(length);
-    if (NO_XML.test(text)) throw local("bad-encoding", "a text holds a control character");
+    if (NO_XML.test(text)) throw local("bad-encoding", "a string has a control character");
     return text;
   }
 
   #time(length: number): Value {
     const kind = this.reader.view(1).getInt8(0);
-    if (kind !== -1) throw local("bad-content", `extension ${kind} is none that the protocol has`);
+    if (kind !== -1) throw local("bad-content", `the protocol has no extension type ${kind}`);
     const { reader } = this;
     let [nanos, seconds] = [0, 0n];
     if (length === 4) seconds = BigInt(reader.u32());
@@ -155,14 +155,14 @@ export class Unpacker {
       const both = BigInt.asUintN(64, reader.i64());
       [nanos, seconds] = [Number(both >> 34n), both & 0x3ffffffffn];
     } else if (length === 12) [nanos, seconds] = [reader.u32(), reader.i64()];
-    else throw local("bad-content", `a time has no ${length} bytes`);
+    else throw local("bad-content", `a time cannot have ${length} bytes`);
     return new Time(seconds * 1000000n + BigInt(Math.floor(nanos / 1000)));
   }
 
   #deeper(count: number, depth: number): void {
     if (depth === 0) throw local("too-deep", `lists and maps nest at most ${MOST_DEPTH} deep`);
     // Each has a byte at least: nobody makes this client reserve memory by a number alone.
-    if (count > this.reader.left) throw local("bad-content", `${count} values are announced, ${this.reader.left} bytes are there`);
+    if (count > this.reader.left) throw local("bad-content", `${count} values are announced, but only ${this.reader.left} bytes are left`);
   }
 
   #list(count: number, depth: number): Value {
@@ -175,7 +175,7 @@ export class Unpacker {
     const map = new Map<string, Value>();
     for (let left = count; left > 0; left--) {
       const key = this.value(0);
-      if (typeof key !== "string" || map.has(key)) throw local("bad-content", `${String(key)} is not a key of a map, or there twice`);
+      if (typeof key !== "string" || map.has(key)) throw local("bad-content", `${String(key)} is not a valid key of a map, or is there twice`);
       map.set(key, this.value(depth - 1));
     }
     return this.exact ? map : Object.fromEntries(map);

@@ -41,7 +41,7 @@ export interface ConnectOptions extends Proof {
    * platform can open it. What this peer says stays as it is: browsers compress no stream that has to arrive at once. Not by default.
    */
   compress?: boolean;
-  /** ms for a reply; 40 s, because a manager may have to ask somebody. */
+  /** ms for a reply; 40 s, because a manager may have to ask a peer. */
   requestTimeout?: number;
   /** ms for one attempt to connect and log in; 10 s. */
   connectTimeout?: number;

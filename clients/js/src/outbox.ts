@@ -78,7 +78,7 @@ export class Outbox {
   put(parcel: Parcel, marks: Marks = {}): void {
     const entry = this.#entry(parcel, marks);
     const size = entry.frame.length - 4;
-    if (size > this.parcelLimit) throw local("too-large", `the parcel has ${size} bytes, and the hub takes ${this.parcelLimit}`);
+    if (size > this.parcelLimit) throw local("too-large", `the parcel has ${size} bytes; the hub accepts at most ${this.parcelLimit}`);
     if (this.#away && entry.perishable) throw dropped(parcel, "lost");
     if (entry.lane === STOP) for (const unstop of this.take((waiting) => withdraws(parcel, waiting.parcel))) this.lost(unstop, "withdrawn");
     this.#add(entry);
@@ -111,7 +111,7 @@ export class Outbox {
   #add(entry: Entry): void {
     const stop = entry.lane === STOP;
     let old = this.#named.get(entry.key);
-    // Its own answer is what somebody waits for.
+    // A caller waits for its own answer.
     if (old && (this.#open.has(old) || (stop && old.awaited))) old = undefined;
     const list = this.#barrier && !stop ? this.#behind : (this.#lanes.get(entry.lane) ?? []);
     const place = old && old.lane === entry.lane ? list.indexOf(old) : -1;

@@ -9,7 +9,7 @@ export interface Marks {
   delivery?: Delivery;
   /** The token that guards a message. */
   token?: string | undefined;
-  /** Whether somebody waits for the answer. */
+  /** Whether a caller waits for the answer. */
   awaited?: boolean;
 }
 

@@ -45,7 +45,7 @@ export async function report(address: string, what: Report): Promise<boolean> {
       return answer.ok;
     }
   } catch {
-    // Whoever reports an error must not get another one.
+    // Reporting an error must not raise another one.
   }
   return false;
 }

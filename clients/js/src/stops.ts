@@ -44,7 +44,7 @@ export function stopSlot({ extra }: Parcel): number | undefined {
 
 /** Of a stop or an unstop. */
 export interface StopOptions {
-  /** Why, for whoever finds the devices stopped. */
+  /** Why, for anyone who finds the devices stopped. */
   reason?: string;
   /** For how many ms the hub waits for the devices' word, at most 10 000; 0 for not at all; 1000 unless said. */
   within?: number;
@@ -52,7 +52,7 @@ export interface StopOptions {
   only?: string[];
 }
 
-/** What a device said: that it obeys (`stopped`, `unstopped`), nothing in time (`silent`), or that its connection is lost: it finds the stop when it comes back. */
+/** What a device said: that it obeys (`stopped`, `unstopped`), nothing in time (`silent`), or that its connection is lost: it gets the stop when it comes back. */
 export type DeviceWord = "stopped" | "unstopped" | "silent" | "lost";
 
 /** A device, and what it said. */

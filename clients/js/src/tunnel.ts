@@ -13,9 +13,9 @@ const WINDOW = 64 * 1024;
 /** The hub lets an answer last so long, and this client waits a little longer. */
 const LONGEST = 20_000;
 const PATIENCE = 10_000;
-/** Bytes that were sent and are not here after so long are held back by somebody who waits for the answer's end. */
+/** Bytes that were sent and are not here after so long are held back by a proxy that waits for the answer's end. */
 const HELD_BACK = 1000;
-const HELD = new Error("somebody holds the stream back");
+const HELD = new Error("a proxy holds the stream back");
 /** Requests that fail are made again after these times; then the tunnel is broken. */
 const AGAIN = [50, 250, 1000, 3000];
 
@@ -175,7 +175,7 @@ class Tunnel implements Pipe {
     }, HELD_BACK);
   }
 
-  /** Brings down what the hub says, as a stream or, where somebody between holds that back, by asking again and again. */
+  /** Brings down what the hub says, as a stream or, where a proxy holds that back, by asking again and again. */
   async #bringDown(): Promise<void> {
     for (let failures = 0; !this.#over; ) {
       const id = this.id;

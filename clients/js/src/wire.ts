@@ -27,7 +27,7 @@ export interface WireOptions {
   compress?: boolean;
 }
 
-/** One connection to a hub: parcels both ways. Until somebody takes it, what comes waits. */
+/** One connection to a hub: parcels both ways. Until it is taken, what comes waits. */
 export class Wire implements Heard {
   pipe!: Pipe;
   /** Called before a pong. */
@@ -220,6 +220,6 @@ export async function connectWire(doors: readonly Door[], make: WebSocketClass |
 
 async function open(door: Door, make: WebSocketClass | undefined, heard: Heard, aborted: AbortSignal): Promise<Pipe> {
   if (door.kind === "tunnel") return openTunnel(door, heard, aborted);
-  if (!make) throw disconnected("there is no WebSocket here: give one as `webSocket`, for example that of the package ws");
+  if (!make) throw disconnected("this platform has no WebSocket: pass one as `webSocket`, for example that of the package ws");
   return openWebSocket(door, make, heard, aborted);
 }

@@ -155,7 +155,7 @@ test("a stream that breaks the rules is refused", () => {
   refused(...frame(1, 1, 3, 5, 0));
   refused(...frame(1, 1, 1, 5), ...frame(1, 1, 1, 5));
   refused(...Array.from({ length: 9 }, (_, stream) => frame(1, stream, 1, 5)).flat());
-  assert.throws(() => [...new Frames().push(Uint8Array.from(Buffer.from("HTTP/1.1")))], /not a hub/);
+  assert.throws(() => [...new Frames().push(Uint8Array.from(Buffer.from("HTTP/1.1")))], /not from a hub/);
   assert.throws(() => [...new Frames().push(Uint8Array.from([...PREFACE.subarray(0, 4), 2, 0]))], /version 2/);
   const small = new Frames();
   small.most = 10;

@@ -61,7 +61,7 @@ async function device(t, options = {}, settings = {}) {
   };
   const client = await connect(hub.url, { user: "alice", guest: true, webSocket: WebSocket, link: true, ...options });
   t.after(() => client.close());
-  // Somebody else of this client hears the channel already.
+  // Another subscriber of this client hears the channel already.
   if (settings.shared) void (await client.channel("/robot/arm")).events();
   const arm = await client.obey("/robot/arm", { halt: (why) => told.push(`halt: ${why}`), move: (command) => told.push(command), free: () => told.push("free"), state: () => ({ pose: told.length }) });
   const say = (name, more = {}) => hub.link.say({ family: "message", name, context: "/robot/arm", sender: "bob", ...more });
@@ -72,14 +72,14 @@ async function device(t, options = {}, settings = {}) {
 test("a device that is put out of its channel halts, says why it may not move, and obeys nothing that comes after it", async (t) => {
   const { hub, client, arm, told, say } = await device(t);
   await eventually(() => arm.mayMove() === null);
-  // Another one that is put out is no matter of this one.
+  // Another one that is put out does not concern this one.
   hub.link.say({ family: "event", name: "expelled", context: "/robot/arm", sender: "hub", content: { peer: "bob", text: "off" } });
   say("command", { content: "before" });
   hub.link.say({ family: "event", name: "expelled", context: "/robot/arm", sender: "hub", content: { peer: client.name, text: "arm~2 is the device here now" } });
   say("command", { content: "after" });
   await arm.ended;
-  assert.deepEqual(told, ["before", "halt: it was put out of its channel: arm~2 is the device here now"]);
-  assert.deepEqual(arm.mayMove(), { held: "unknown", text: "it was put out of its channel: arm~2 is the device here now" });
+  assert.deepEqual(told, ["before", "halt: it was expelled from its channel: arm~2 is the device here now"]);
+  assert.deepEqual(arm.mayMove(), { held: "unknown", text: "it was expelled from its channel: arm~2 is the device here now" });
 });
 
 test("a device obeys stops by their numbers, and says after each how it stands", async (t) => {
@@ -175,7 +175,7 @@ test("a device stops itself, and halts when the hub is silent or it leaves", asy
   await eventually(() => told.at(-1) === "halt: the connection to the hub is silent or lost");
   hub.deaf = false;
   await arm.leave();
-  assert.equal(told.at(-1), "halt: it is not a device of its channel any more");
+  assert.equal(told.at(-1), "halt: it is no longer a device of its channel");
 });
 
 test("a device whose machine fails halts it", async (t) => {
@@ -186,7 +186,7 @@ test("a device whose machine fails halts it", async (t) => {
   say("stop", { extra: { stop: 7 } });
   say("unstop", { extra: { stop: 7 } });
   await assert.rejects(arm.ended, /no brake/);
-  assert.equal(told.at(-1), "halt: it is not a device of its channel any more");
+  assert.equal(told.at(-1), "halt: it is no longer a device of its channel");
 });
 
 test("what the hub says of stops is kept in a full queue, the newest of it", async (t) => {

@@ -128,7 +128,7 @@ test("a hub that has counted other parcels is not gone on with", async () => {
   assert.equal(hub.logins[3].content.checksum, undefined, "only hubs from 1.3 on know it");
 });
 
-test("a count that cannot be ends the link, whoever says so", async () => {
+test("a count that cannot be ends the link, whichever side says so", async () => {
   const hub = await start({ miscounts: true });
   const client = await open(hub.url);
   const states = client.states();

@@ -285,7 +285,7 @@ test("four streams are open at most, and no more bytes than one parcel may have"
   while (pump().length);
   outbox.parcelLimit = 90 * KIB;
   const size = encode({ family: "message", name: "image", context: "/c", content: large }).length - 4;
-  assert.throws(() => say("image", { content: large }), { code: "too-large", text: `the parcel has ${size} bytes, and the hub takes 92160` });
+  assert.throws(() => say("image", { content: large }), { code: "too-large", text: `the parcel has ${size} bytes; the hub accepts at most 92160` });
   outbox.parcelLimit = encode({ family: "message", name: "image", context: "/c", content: large, priority: 1 }).length - 4;
   say("image", { content: large, priority: 1 });
   assert.equal(piece(), 10);

@@ -41,7 +41,7 @@ test("one request stops what is below a session, without joining it, and an unst
   assert.match(told.at(-1), /^stopped by .*: smoke$/);
   const stop = await until(seen, (event) => event.type === "message" && event.name === "stop");
   assert.deepEqual([stop.stop, stop.parcel.context], [number, path]);
-  // Whoever asks or comes later finds out who did it and why.
+  // A peer that asks or comes later finds out who did it and why.
   const state = await bob.stops("/robot/arm");
   assert.deepEqual([state.number, state.stopped, state.by, state.user, state.reason, state.since instanceof Time], [number, true, alice.name, "alice", "smoke", true]);
   const listed = (await bob.list("/robot")).find((each) => each.path === "/robot/arm");

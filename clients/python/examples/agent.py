@@ -33,7 +33,7 @@ async def main() -> None:
             await asyncio.wait({working, lost}, return_when=asyncio.FIRST_COMPLETED)
             # Asked here, since the end of the block gives the token back, and then it is lost, too.
             interrupted = lost.done() and (working.cancel() or working.exception() is not None)
-        if interrupted:  # By whoever takes the token, or by the end of the scope.
+        if interrupted:  # By a peer that takes the token, or by the end of the scope.
             return print(f"interrupted: {lost.result().reason} by {lost.result().by}")
         working.result()
         print("done")

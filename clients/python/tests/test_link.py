@@ -185,7 +185,7 @@ async def test_what_was_not_read_is_sent_again_before_all_that_is_new(hub: FakeH
 
 
 async def test_what_is_meant_for_the_moment_is_not_said_after_a_loss(hub: FakeHub) -> None:
-    """What had left may have been heard, and what had not is lost; whoever waits for an answer hears so."""
+    """What had left may have been heard, and what had not is lost; tasks that wait for an answer are told."""
     async with connect(hub) as client:
         channel = await client.channel("/c")
         hub.replies["join"] = {"kind": "token"}
@@ -204,14 +204,14 @@ async def test_what_is_meant_for_the_moment_is_not_said_after_a_loss(hub: FakeHu
         hub.lag = 6
         port = await away(hub, client)
         for one in said():
-            with pytest.raises(mom.LostError, match="had not left") as caught:
+            with pytest.raises(mom.LostError, match="had not been sent") as caught:
                 await asyncio.wait_for(one, PATIENCE)
             assert caught.value.code == "lost"
         await channel.send("unstop", "said meanwhile", to=["bob"])
         assert not [one for one in unread if one.done()], "nobody knows yet"
         await back(hub, client, port)
         for one in unread:
-            with pytest.raises(mom.LostError, match="had left .* unknown") as caught:
+            with pytest.raises(mom.LostError, match="had been sent .* unknown") as caught:
                 await asyncio.wait_for(one, PATIENCE)
             assert caught.value.code == "unknown" and "not sent" not in str(caught.value)
         told = [await heard(events, mom.Dropped) for _ in range(2)]
@@ -291,7 +291,7 @@ async def test_what_waits_for_room_at_a_loss_is_not_said_after_it(hub: FakeHub, 
 
         monkeypatch.setattr(client._driver._connection, "write", stuck)
         client._core.outbox.most = 1
-        # This hub acknowledges nothing, which is no matter here.
+        # This hub acknowledges nothing, which does not matter here.
         monkeypatch.setattr(client._core.outbox, "permits", lambda entry: True)
         for number in range(2):
             await channel.send("note", number)

@@ -162,13 +162,13 @@ async def test_a_device_learns_from_a_halt_which_token_guards_it_from_now_on(rob
 
 async def test_a_device_that_is_put_out_of_its_channel_halts_and_says_why(robot: Robot) -> None:
     await robot.start()
-    # Another one that is put out is no matter of this one.
+    # Another one that is put out does not concern this one.
     robot.tell("expelled", peer="bob", text="off")
     robot.say("command", "before")
     robot.tell("expelled", peer=robot.client.name, text="arm~2 is the device here now")
     robot.say("command", "after")
     await robot.arm.ended()
-    words = "it was put out of its channel: arm~2 is the device here now"
+    words = "it was expelled from its channel: arm~2 is the device here now"
     assert robot.told == ["before", f"halt: {words}"]
     held = robot.arm.may_move()
     assert held is not None and (held.word, held.text) == ("unknown", words)
@@ -194,7 +194,7 @@ async def test_a_device_obeys_no_earlier_owner_and_no_old_message(robot: Robot) 
     robot.hub.say(Parcel("event", "released", "/robot/token", {"owner": "bob", "reason": "released", "fence": 3}))
     robot.say("command", "later", fence=3, id=5)
     await robot.until(lambda: len(robot.said("status")) == 2)
-    assert robot.told == ["mine", "halt: its owner has it no more"]
+    assert robot.told == ["mine", "halt: its owner no longer owns it"]
     assert [(status["id"], status["error"]["name"]) for status in robot.said("status")] == [
         (4, "older-fence"),
         (5, "older-fence"),
@@ -272,7 +272,7 @@ async def test_a_stop_behind_more_than_it_keeps_is_obeyed(robot: Robot) -> None:
     await robot.until(lambda: robot.arm.is_stopped and "halt: stopped by bob: smoke" in robot.told)
     await robot.settled()
     assert robot.said("state")[-1]["stop"] == 7
-    # It has missed some, and what it missed is no more than that stop.
+    # It has missed some, and it missed only that stop.
     assert robot.said("stop") == [] and any("it has missed" in str(word) for word in robot.told)
 
 
@@ -313,7 +313,7 @@ async def test_it_halts_when_the_hub_is_silent_and_may_move_when_that_is_heard(r
     await robot.start(heartbeat=0.1)
     await robot.until(lambda: robot.arm.may_move() is None)
     robot.hub.silent = True
-    await robot.until(lambda: "halt: nothing is heard of the hub" in robot.told)
+    await robot.until(lambda: "halt: the hub is silent" in robot.told)
     held = robot.arm.may_move()
     assert held is not None and held.text == "the hub is silent"
     robot.hub.silent = False
@@ -343,14 +343,14 @@ async def test_it_moves_by_nothing_that_came_while_its_program_stood_still(
 async def test_it_halts_at_its_end(robot: Robot) -> None:
     await robot.start()
     await robot.arm.leave()
-    assert robot.told[-1] == "halt: it is not a device of its channel any more"
+    assert robot.told[-1] == "halt: it is no longer a device of its channel"
     held = robot.arm.may_move()
-    assert held is not None and "not a device" in held.text
+    assert held is not None and "no longer a device" in held.text
     again = Recorder()
     arm = await robot.client.obey(ARM, again)
     await robot.client.close()
     await asyncio.wait_for(arm.ended(), PATIENCE)
-    assert again.told[-1] == "halt: it is not a device of its channel any more"
+    assert again.told[-1] == "halt: it is no longer a device of its channel"
 
 
 async def test_a_move_that_takes_long_is_cancelled_before_the_machine_is_halted(robot: Robot) -> None:
@@ -403,7 +403,7 @@ async def test_a_machine_that_fails_stands_and_says_why(robot: Robot, caplog: py
     robot.say("unstop", number=7)
     with pytest.raises(ZeroDivisionError):
         await asyncio.wait_for(robot.arm.ended(), PATIENCE)
-    assert robot.told[-1] == "halt: it is not a device of its channel any more" and robot.arm.may_move() is not None
+    assert robot.told[-1] == "halt: it is no longer a device of its channel" and robot.arm.may_move() is not None
     assert "obeys nothing any more" in caplog.text
 
 

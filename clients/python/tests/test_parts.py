@@ -55,14 +55,14 @@ def test_addresses(text: str, shown: str) -> None:
         ("bin://lab:70000", "port"),
         ("bin://::1:7666", "brackets"),
         ("bin://[lab]:7666", "brackets"),
-        ("bin://alice@lab", "not a name of a host"),
+        ("bin://alice@lab", "not a host name"),
         ("bins://lab?pin=12", "64 hexadecimal digits"),
         ("bins://lab?name=12", "pin="),
-        (f"bin://lab?pin={PIN}", "for TLS"),
+        (f"bin://lab?pin={PIN}", "requires TLS"),
     ],
 )
 def test_what_is_no_address(text: str, why: str) -> None:
-    with pytest.raises(mom.AddressError, match="is not an address of a hub") as caught:
+    with pytest.raises(mom.AddressError, match="is not the address of a hub") as caught:
         Address.parse(text)
     assert why in str(caught.value)
 
@@ -441,7 +441,7 @@ async def test_messages_are_held_back_beyond_what_is_kept_and_nothing_else_is() 
 
 @pytest.mark.parametrize("heartbeat", [0.0999, 10.001, 0, -1, float("nan"), float("inf")])
 def test_a_heartbeat_that_no_hub_takes_is_refused_here(heartbeat: float) -> None:
-    with pytest.raises(mom.LocalError, match=r"a heartbeat is from 0\.1 s to 10 s, not ") as caught:
+    with pytest.raises(mom.LocalError, match=r"a heartbeat must be from 0\.1 s to 10 s, not ") as caught:
         mom.connect("bin://127.0.0.1:1", guest=True, heartbeat=heartbeat)
     assert caught.value.code == "bad-content"
 

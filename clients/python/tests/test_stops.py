@@ -59,7 +59,7 @@ async def test_one_request_stops_what_is_below_a_session(broker: Broker, arm: mo
         while (stop := await heard(seen, mom.Message)).name != "stop":
             pass
         assert (stop.stop, stop.parcel.context) == (told.number, ARM)
-        # Whoever asks or comes later finds out who did it and why.
+        # A peer that asks or comes later finds out who did it and why.
         books = await bob.stops(ARM)
         assert (books.number, books.stopped, books.by, books.user, books.reason) == (
             told.number,

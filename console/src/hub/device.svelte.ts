@@ -164,7 +164,7 @@ export class DeviceState {
       ...(expires === undefined ? {} : { expires }),
       ...(relative && this.stateId !== undefined ? { basedOn: this.stateId } : {}),
     });
-    if (sent.delivered === 0) throw new HubError({ kind: "local", code: "no-answer", text: `nobody is in ${this.path} who could obey`, content: {} });
+    if (sent.delivered === 0) throw new HubError({ kind: "local", code: "no-answer", text: `no device in ${this.path} can obey`, content: {} });
     return sent.id;
   }
 }

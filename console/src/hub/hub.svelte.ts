@@ -149,7 +149,7 @@ export class Hub {
     await this.call("close");
   }
 
-  /** Hears what happens in a context until the function that it gives is called; begins as soon as somebody is logged in. */
+  /** Hears what happens in a context until the function that it gives is called; begins as soon as a user is logged in. */
   watch(watch: Watch, handlers: Handlers): () => void {
     const id = ++this.#lastId;
     this.#watches.set(id, { watch, handlers });

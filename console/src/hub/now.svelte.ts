@@ -6,7 +6,7 @@ class Clock {
   #users = 0;
   #timer: ReturnType<typeof setInterval> | undefined;
 
-  /** ms since 1970, five times a second as long as somebody looks. */
+  /** ms since 1970, five times a second as long as a panel reads it. */
   get ms(): number {
     if ($effect.tracking()) {
       $effect(() => {

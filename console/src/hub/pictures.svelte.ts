@@ -1,4 +1,4 @@
-// How old the pictures are that the page shows; each camera says so here, and whoever drives asks.
+// How old the pictures are that the page shows; each camera says so here, and driving panels ask.
 import type { Hub } from "./hub.svelte.js";
 
 export interface Shown {

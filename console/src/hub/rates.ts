@@ -170,7 +170,7 @@ function perSecond(before: Sample, now: Sample): (earlier: number, later: number
   return (earlier, later) => Math.max(later - earlier, 0) / seconds;
 }
 
-/** What happens in each channel. Whoever came or went meanwhile is left out: its counts are not known at both ends. */
+/** What happens in each channel. Peers that came or went meanwhile are left out: their counts are not known at both ends. */
 export function channelRates(before: Sample, now: Sample): Map<string, ChannelRates> {
   const rate = perSecond(before, now);
   const earlier = new Map(before.channels.map(({ path, counts }) => [path, counts]));

@@ -1,4 +1,4 @@
-// The statistics of a hub or of one context, asked for each second while somebody looks, with their history.
+// The statistics of a hub or of one context, asked for each second while a panel shows them, with their history.
 import type { Failure } from "../worker/protocol.js";
 import { failureOf } from "./failure.js";
 import { History } from "./history.js";

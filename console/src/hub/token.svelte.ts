@@ -15,7 +15,7 @@ export interface Waiter {
   level: number;
 }
 
-/** Somebody asks this page for a token, which it owns. */
+/** A peer asks this page for a token, which it owns. */
 export interface Asked {
   path: string;
   peer: string;
@@ -289,7 +289,7 @@ export class Tokens {
     } else if (type === "lapsed") {
       const [by, to, reason] = [text(what, "by"), text(what, "to"), text(what, "reason") ?? ""];
       const offer = text(what, "what") === "offer";
-      // What this page has refused itself is no news to it.
+      // What this page has refused itself is not reported to it.
       const ours = offer ? this.offers.some((each) => each.path === path && each.by === by) : this.asked.some((each) => each.path === path && each.peer === by);
       this.over(path, by);
       if (offer && by === me) this.of(path).offered = null;

@@ -1,4 +1,4 @@
-// Work that is done again and again, but only while somebody can see what comes of it.
+// Work that is done again and again, but only while its result can be seen.
 
 /** Calls `work` at once and then so often, in ms, as long as the page is visible and the work before is done. Gives what ends it. */
 export function whileVisible(every: number, work: () => Promise<void> | void): () => void {

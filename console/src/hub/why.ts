@@ -28,7 +28,7 @@ export async function whyNot(address: string): Promise<string | null> {
   return null;
 }
 
-/** Whether somebody is there, of whom this page may read nothing. */
+/** Whether a server answers of which this page may read nothing. */
 async function answers(hub: string): Promise<boolean> {
   try {
     await fetch(`${hub}/healthz`, { mode: "no-cors", credentials: "omit", cache: "no-store" });

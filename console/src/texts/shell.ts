@@ -1,7 +1,7 @@
 // The frame of the console.
 export const shell = {
   title: "MOM",
-  skip: "To the page",
+  skip: "Skip to content",
   pages: {
     drive: "Drive",
     fleet: "Fleet",
@@ -16,13 +16,13 @@ export const shell = {
   /** What others want, what was lost, what has gone. */
   news: "News",
   history: "History",
-  noNews: "Nothing has happened.",
+  noNews: "No news.",
   /** Of an error that nothing in the page has caught. */
-  fault: (text: string) => `A fault of this page: ${text}`,
+  fault: (text: string) => `Error in this page: ${text}`,
   report: "Report errors to the hub",
-  reportTitle: "Sends the text of each error of this page to the hub, for its operators (mom logs): without a login, and in the clear where this page came without TLS. At most 5 in a minute",
-  open: "What is asked and offered",
-  gone: (device: string, since: string) => `The device of ${device} is gone since ${since}`,
+  reportTitle: "Sends the text of each error in this page to the hub for its operators (mom logs), without a login, and unencrypted if this page was loaded without TLS. At most 5 per minute",
+  open: "Requests and offers",
+  gone: (device: string, since: string) => `The device of ${device} has been gone since ${since}`,
   wentAway: (device: string) => `The device of ${device} is gone, or its connection is lost.`,
   cameBack: (device: string) => `The device of ${device} is back.`,
   overNow: (words: string) => `No longer: ${words}`,
@@ -33,7 +33,7 @@ export const shell = {
   loading: "Loading…",
   notThere: "This page could not be loaded: the hub may have been upgraded.",
   reload: "Reload",
-  newer: "The hub has a newer console than this page.",
+  newer: "The hub has a newer version of this page.",
   reloading: (seconds: number) => `Reloading in ${seconds} s`,
   later: "Not now",
 };

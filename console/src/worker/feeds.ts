@@ -204,7 +204,7 @@ class Feed {
   async #enter(): Promise<void> {
     const thinning = this.#wanted();
     const said = JSON.stringify(thinning ?? {});
-    // Whoever comes second waits as well, and hears of a refusal.
+    // A second caller waits as well, and hears of a refusal.
     if (this.#entered && said === this.#thinning) return this.#entered;
     this.#thinning = said;
     const entering = this.#join(thinning);
@@ -236,7 +236,7 @@ class Feed {
     }
   }
 
-  /** Whether somebody waits for an answer of this name. */
+  /** Whether a caller waits for an answer of this name. */
   #isAnswer(name: string): boolean {
     for (const { watch } of this.watchers.values()) if (watch.answers && watch.names?.includes(name)) return true;
     return false;

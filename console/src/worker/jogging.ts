@@ -40,7 +40,7 @@ export class Jogging {
     if (!jog) return;
     if (performance.now() - this.#said > PATIENCE) {
       this.set(null);
-      const error = new MomError("local", "timed-out", "the page did not say in time that the hand is still to move");
+      const error = new MomError("local", "timed-out", "the page did not confirm in time that the hand should keep moving");
       return this.say({ word: "jog-ended", path: jog.path, failure: failure(error) });
     }
     this.#send(jog);

@@ -284,7 +284,7 @@ export type Word =
   | { word: "joined"; watch: number; info: PlainFields }
   | { word: "failed"; watch: number; failure: Failure }
   | { word: "owned"; path: string; owned: Owned | null; reason?: string | undefined; by?: string | undefined }
-  /** What somebody wants of this page: `requested`, `offer`, `lapsed`, `notice` of a token, or `expelled`. */
+  /** What a peer wants of this page: `requested`, `offer`, `lapsed`, `notice` of a token, or `expelled`. */
   | { word: "asked"; event: Happening }
   | { word: "stop"; report: StopReport }
   /** All stops that hold, as far as they are known. */

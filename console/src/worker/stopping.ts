@@ -187,7 +187,7 @@ export class Stopping {
       const state = await client.stops(path);
       this.standing.learn(path, state);
       if (!state.stopped) return;
-      throw new MomError("local", "not-seen", `${state.by ?? "somebody"} has stopped it${state.reason ? `: ${state.reason}` : ""}. Let it go again if it may move.`);
+      throw new MomError("local", "not-seen", `${state.by ?? "a peer"} stopped it${state.reason ? `: ${state.reason}` : ""}. Let it go again if it may move.`);
     }
     // What an unstop did not lift the hub knows when it is kept: an answer that waits for nothing names no newer stop.
     const ordered = new Ordered(order, path, order === "stop" ? { ...terms, within: 0 } : terms, this.standing, () => undefined);
@@ -196,8 +196,8 @@ export class Stopping {
     const [newer] = ordered.report.newer;
     this.standing.look();
     if (refused) throw new MomError("refused", refused.failure.code, refused.failure.text);
-    if (!ordered.report.taken) throw new MomError("connection", "not-confirmed", `NOT CONFIRMED: the hub has not taken the order for ${path}, over any connection`);
-    if (newer) throw new MomError("refused", "newer-stop", `${newer.by ?? "somebody"} has stopped it again since${newer.reason ? `: ${newer.reason}` : ""}`, 232);
+    if (!ordered.report.taken) throw new MomError("connection", "not-confirmed", `NOT CONFIRMED: the hub has not accepted the order for ${path}, over any connection`);
+    if (newer) throw new MomError("refused", "newer-stop", `${newer.by ?? "a peer"} stopped it again${newer.reason ? `: ${newer.reason}` : ""}`, 232);
   }
 
   async order(order: Order, top: string, terms: StopTerms): Promise<void> {

@@ -77,7 +77,7 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
     pictureFile: (id) => feeds.pictureFile(id),
     send: async (path, name, content, options = {}) => {
       const { to, basedOn, stop, ...slots } = options;
-      if (name === "unstop" && stop === undefined) throw new MomError("local", "bad-slot", "an unstop names the newest stop that you have seen: there is none here");
+      if (name === "unstop" && stop === undefined) throw new MomError("local", "bad-slot", "unstop requires the newest stop that you have seen, and there is none here");
       const before = ordered.count(path);
       await session.client.channel(path);
       if (name === "command" && ordered.count(path) !== before) throw new MomError("local", "stopped", "STOP was pressed before it was sent");

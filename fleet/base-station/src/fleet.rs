@@ -356,12 +356,12 @@ mod tests {
             (
                 "robot = 1".to_owned(),
                 Type,
-                "line 1, column 9: a list of tables is expected here, and this is an integer: write `[[robot]]`",
+                "line 1, column 9: expected a list of tables, found an integer: write `[[robot]]`",
             ),
             (
                 "robot = [1]".to_owned(),
                 Type,
-                "line 1, column 10: a table is expected here, and this is an integer: write `[[robot]]`",
+                "line 1, column 10: expected a table, found an integer: write `[[robot]]`",
             ),
             (
                 "[[robot]]\nunit = 1\n".to_owned(),
@@ -376,7 +376,7 @@ mod tests {
             (
                 robot("\"1\"", "a:1"),
                 Type,
-                "line 2, column 8: an integer is expected here, and this is a text",
+                "line 2, column 8: expected an integer, found a text",
             ),
             (
                 robot(0, "a:1"),

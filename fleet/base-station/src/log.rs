@@ -241,7 +241,7 @@ fn write_all(entries: &mpsc::Receiver<Written>, mut file: BufWriter<File>) {
             Ok(Written::Entry(entry)) => entry.to_json(),
             Ok(Written::Lost(count)) => json!({ "lost": count }),
             Err(end) => {
-                // A full disk is no reason to stop driving: what cannot be written is gone.
+                // A full disk must not stop driving: what cannot be written is gone.
                 let _ = file.flush();
                 if end == RecvTimeoutError::Disconnected {
                     return;

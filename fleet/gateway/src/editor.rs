@@ -380,7 +380,7 @@ impl Editor {
         }
     }
 
-    /// A robot that somebody else drives is left to them: it would halt.
+    /// A robot that another peer drives is left to it: it would halt.
     async fn is_free(&self, robot: &Robot, by: &str) -> Result<(), Refused> {
         let token = self.options.token(robot.unit, robot.group.as_deref());
         match self.client.info(&token).await {

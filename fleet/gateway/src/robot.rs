@@ -212,7 +212,7 @@ impl Robot {
     }
 
     /// Keeps the robot standing until it has a place in its channel; none if the program stops before. Where another device has that, or
-    /// the hub has given this gateway up and may have let another device in, the robot is left to whoever takes it.
+    /// the hub has given this gateway up and may have let another device in, the robot is left to the one that takes it.
     async fn wait_for_channel(
         &mut self,
         is_adrift: bool,

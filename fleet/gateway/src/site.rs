@@ -107,7 +107,7 @@ impl RobotSite {
         if is_guarded(&channel, &token) {
             return Ok(channel);
         }
-        // It was made when the robot was in another group: whoever holds that token would drive it.
+        // It was made when the robot was in another group: the owner of that token would drive it.
         client
             .delete(channel.path().as_str())
             .await

@@ -52,7 +52,7 @@ pub fn settings() -> Settings {
     }
 }
 
-/// The wires to all robots of a base station. Whoever calls this before [`Station::connect_all`] misses nothing.
+/// The wires to all robots of a base station. A caller that does so before [`Station::connect_all`] misses nothing.
 #[must_use]
 pub fn lines(station: &Station) -> Vec<RobotWire> {
     let robots = station.snapshot();

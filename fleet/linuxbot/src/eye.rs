@@ -9,7 +9,7 @@ use image::{ExtendedColorType, ImageEncoder as _};
 use mom_wheels::eye::{HEIGHT, WIDTH, draw};
 use mom_wheels::{Floor, Pose};
 
-/// Between two pictures, at least; whoever asks before gets the latest again.
+/// Between two pictures, at least; a request before that gets the latest again.
 const BETWEEN: Duration = Duration::from_millis(200);
 const QUALITY: u8 = 75;
 

@@ -37,7 +37,7 @@ pub struct Observer {
     shown: watch::Receiver<Option<Glance>>,
 }
 
-/// The control's end: shows how the robot is to whoever looks, and waits for nobody.
+/// The control's end: shows how the robot is to its readers, and waits for none.
 #[derive(Debug)]
 pub struct Observed {
     asked: Arc<Notify>,

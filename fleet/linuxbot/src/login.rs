@@ -1,4 +1,4 @@
-//! Who may look at a robot's own page: whoever knows its user and password (W21).
+//! Who may look at a robot's own page: anyone who knows its user and password (W21).
 
 use std::fmt;
 

@@ -83,7 +83,7 @@ async fn live(
     mut shutdown: Pin<&mut impl Future<Output = ()>>,
 ) -> Result<(), ClientError> {
     let mut channel = enter_robot(client, options).await?;
-    // Whoever it speaks to, and hears, stays joined for as long as these live.
+    // The contexts that it speaks to, and hears, stay joined for as long as these live.
     let mut joined = JoinSet::new();
     let (hand, mut hear) = mpsc::channel(MOST_POSES);
     for (path, kind, hand) in [
@@ -214,9 +214,9 @@ async fn enter_robot(client: &Client, options: &RoverOptions) -> Result<Channel,
 /// Who makes a channel beside its own.
 #[derive(Debug, Clone, Copy)]
 enum Kind {
-    /// Whoever comes first.
+    /// The first that comes.
     Status,
-    /// Somebody else.
+    /// Another peer.
     Channel,
 }
 

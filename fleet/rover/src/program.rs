@@ -22,7 +22,7 @@ Examples:
   mom-rover --name a --hub bins://lab.example.org --key rover-a.key --pull 1000
   MOM_PASSWORD=rover-a mom-rover --name a --model config/lego.toml --charger 2500,2500 --battery 40
 
-The robot is the session /rover/NAME, with the channel robot and the token token, which are made where they are missing. Whoever holds the token
+The robot is the session /rover/NAME, with the channel robot and the token token, which are made where they are missing. The owner of the token
 drives it with motor, goto, via, leds and wait, as the robots of a gateway, and has it follow another one with `follow rover-a 500`: the peer's
 name and mm behind it, until another command comes. A robot with --pull is fed by `mom fleet feed`. The password is that of MOM_PASSWORD,
 unless --password-file names a file. A key (mom keygen) is taken from anywhere, a password over TLS (bins://, tcps://) or loopback. Where there

@@ -1,4 +1,4 @@
-//! Errors of devices, in the shape and with the names and numbers of the lab's arm (M53), so that whoever drives one reads them
+//! Errors of devices, in the shape and with the names and numbers of the lab's arm (M53), so that its drivers read them
 //! of all.
 
 use std::fmt;

@@ -44,7 +44,7 @@ impl Pull {
         self.due = now.saturating_add(self.wait);
     }
 
-    /// Has it ask as soon as it has nothing to do, as its request was answered or there is somebody else to ask.
+    /// Has it ask as soon as it has nothing to do, as its request was answered or there is another owner to ask.
     pub(crate) fn renew(&mut self, now: DeviceTime) {
         self.asked = None;
         self.due = now;
@@ -58,7 +58,7 @@ impl Pull {
         let slot = |text: &str, slot| Err(WireError::new(Code::BAD_SLOT, text).slot(slot));
         let expired = |text: String| Err(WireError::new(Code::EXPIRED, text));
         let Some(life) = command.expires.map(u128::from) else {
-            let text = "this device asks for its commands, and each has to say until when it is good: ms in the slot `expires`";
+            let text = "this device asks for its commands, so each requires the slot `expires` (ms)";
             return slot(text, "expires");
         };
         if command.reference.is_none() {

@@ -14,7 +14,7 @@ pub const MAX_WAITING: usize = 64;
 
 /// A device that carries out one command after the other.
 ///
-/// A driver calls `advance` whenever `next_wake` is due, and the other methods when somebody asks for what they do.
+/// A driver calls `advance` whenever `next_wake` is due, and the other methods when what they do is asked for.
 /// Every method that takes `now` first advances to it; a time before the latest one counts as the latest. Everything
 /// that happens is reported in `events`, in order, and every accepted command ends in exactly one `Finished` or `Failed`.
 #[derive(Debug)]

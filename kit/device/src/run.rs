@@ -110,7 +110,7 @@ impl<M: Machine> DevicePeer<M> {
         &self.gate
     }
 
-    /// Why it was put out of its channel, if it was: it hears nothing more there.
+    /// Why it was expelled from its channel, if it was: it hears nothing more there.
     pub fn put_out(&self) -> Option<&str> {
         self.put_out.as_deref()
     }
@@ -208,7 +208,7 @@ impl<M: Machine> DevicePeer<M> {
     #[must_use]
     pub fn why_gone(&self) -> String {
         match &self.put_out {
-            Some(why) => format!("it was put out of its channel: {why}"),
+            Some(why) => format!("it was expelled from its channel: {why}"),
             None => "its channel is gone".to_owned(),
         }
     }

@@ -34,7 +34,7 @@ impl Attachments {
             Value::Binary(bytes) => Ok((name.to_owned(), bytes[..].into())),
             _ => Err(DeviceError::new(
                 ErrorName::Syntax,
-                format!("the attachment `{name}` has to be bytes"),
+                format!("the attachment `{name}` must be bytes"),
             )),
         };
         map.iter().map(bytes).collect::<Result<_, _>>().map(Self)

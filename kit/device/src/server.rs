@@ -361,7 +361,8 @@ impl<M: Machine> DeviceServer<M> {
         }
         let script = Script::read_with::<M>(script, &attachments)?;
         if script.is_relative::<M>() && parcel.extra.get(BASED_ON).is_none() {
-            let text = "a relative command is right in one place only: it has to name the state that it is based on, by that state's id in the slot `based-on`";
+            let text =
+                "a relative command requires the slot `based-on`: the id of the state that it is based on";
             return Err(DeviceError::new(ErrorName::NoState, text).into());
         }
         let commanded = order.fence.unwrap_or(0);

@@ -92,7 +92,7 @@ impl<'a> Words<'a> {
     ///
     /// # Errors
     ///
-    /// `syntax` if there is none, or it is no such number.
+    /// `syntax` if there is none, or it is not such a number.
     pub fn whole(
         &mut self,
         verb: &str,

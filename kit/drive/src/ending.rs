@@ -44,7 +44,7 @@ pub async fn insist<T, Asked: Future<Output = ()>>(
 pub enum Halt {
     /// It has said that its command has ended.
     Confirmed,
-    /// It has said so after a `stop` only, which holds until somebody lets it go.
+    /// It has said so after a `stop` only, which holds until an unstop.
     Stopped,
     /// It has said nothing.
     Silent,
@@ -117,7 +117,7 @@ mod tests {
         };
         assert_eq!(insist(ask, pending::<()>()).await, None);
         assert_eq!(asked, TIMES);
-        // One that hangs is no reason to wait longer, and an answer ends it.
+        // A request that hangs does not prolong the wait, and an answer ends it.
         let begun = tokio::time::Instant::now();
         assert_eq!(insist(pending, pending::<()>()).await, None);
         assert_eq!(begun.elapsed(), REPEATED * TIMES);

@@ -1,4 +1,4 @@
-//! What wheeled robots have alike at a hub, whoever drives their motors: a gateway, the computer that thinks for a thin robot, or the
+//! What wheeled robots have alike at a hub, whatever drives their motors: a gateway, the computer that thinks for a thin robot, or the
 //! robot itself.
 //!
 //! [`Action`] is the language of their scripts, [`enter`] makes the contexts of one robot, and [`StatusTeller`] tells of it in the channel

@@ -170,7 +170,7 @@ mod tests {
             (
                 "1 = \"touch-front\"",
                 "1 = \"gyro\"",
-                "line 24, column 5: there is no part `gyro`; there are `left-motor`, `right-motor`",
+                "line 24, column 5: there is no part `gyro`; expected one of `left-motor`, `right-motor`",
             ),
             (
                 "1 = \"touch-front\"",
@@ -202,7 +202,7 @@ mod tests {
             (
                 "lag = 0.06",
                 "lag = true",
-                "line 11, column 7: a number is expected here, and this is true or false",
+                "line 11, column 7: expected a number, found true or false",
             ),
             ("lag = 0.06", "", "line 7, column 1: `lag` is missing"),
             ("light-ahead = 60", "light-ahead = -1", "`light-ahead` is -1"),

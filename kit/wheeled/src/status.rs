@@ -12,7 +12,7 @@ const PERIOD: Duration = Duration::from_secs(1);
 const GAP: Duration = Duration::from_millis(200);
 /// Who was told of seldom may be told of so often at once.
 const AT_ONCE: u32 = 4;
-/// What changes with each reply, and is no reason to tell.
+/// What changes with each reply, and is not reported by itself.
 const FLEETING: [&str; 5] = ["x", "y", "heading", "round-trip", "gap"];
 
 /// Tells of one robot: at once when it is something else that it does, though five times a second at most in the long

@@ -6,7 +6,7 @@
 //! a simulated robot sees (W22).
 //!
 //! Nothing here does any IO, reads a clock or is random: time is a parameter, in µs since any beginning. A simulated
-//! robot is computed when somebody asks for it, and `next_wake` says when something will change by itself, so
+//! robot is computed on request, and `next_wake` says when something will change by itself, so
 //! that an idle robot costs nothing.
 //!
 //! # Units and numbers

@@ -1,4 +1,4 @@
-//! Jogging: the hand moves at a velocity for as long as somebody says so again and again, slows down before it would leave the
+//! Jogging: the hand moves at a velocity for as long as its owner says so again and again, slows down before it would leave the
 //! workspace or what its joints allow, and ends at rest.
 
 use serde::{Deserialize, Serialize};

@@ -74,7 +74,7 @@ impl Leg {
         }
     }
 
-    /// One that takes just so long, which is no less than it needs.
+    /// One that takes just so long, which is at least what it needs.
     pub(crate) const fn lasting(from: Posture, to: Posture, duration: ArmTime) -> Self {
         Self { from, to, duration }
     }

@@ -101,7 +101,7 @@ pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
         channel: args.channel,
         token: args.token,
         manager: args.manager,
-        // Whoever put it out may have started another one, and a supervisor starts it again.
+        // The peer that expelled it may have started another one, and a supervisor starts it again.
         comes_back: false,
         max_age: args.max_age,
         link_fault: args.link_fault,

@@ -1,4 +1,4 @@
-//! The calibration agent: hears in its channel which camera is to be calibrated, takes the robot's token from whoever
+//! The calibration agent: hears in its channel which camera is to be calibrated, takes the robot's token from the peer that
 //! asked, and gives it back.
 //!
 //! In the channel, `/calibrate`:
@@ -57,7 +57,7 @@ impl Default for AgentOptions {
     }
 }
 
-/// What somebody asked for.
+/// What a peer asked for.
 #[derive(Debug, Clone)]
 struct Order {
     peer: String,

@@ -6,7 +6,7 @@
 //! [`calibrate`] does both and leaves out what does not agree. None of them does any IO.
 //!
 //! [`verb`] is `mom calibrate`: an ordinary peer, which asks for the robot's token, drives, looks, computes, and tells
-//! the camera its matrix. [`agent`] does the same for whoever lends it the token, such as a person at the console.
+//! the camera its matrix. [`agent`] does the same for a peer that lends it the token, such as a person at the console.
 
 pub mod agent;
 mod camera;

@@ -80,7 +80,7 @@ Examples:
   mom calibrate x --wait 300               when it is your turn
   mom calibrate bench --settle 500ms       a real camera shows the arm later than the arm tells
   mom calibrate x --json | jq -s 'last.rms'
-  mom calibrate --serve                    calibrates for whoever asks in /calibrate and lends it the token
+  mom calibrate --serve                    calibrates for peers that ask in /calibrate and lend it the token
 
 Ctrl-C ends it: the settings are restored and the token is released, and the hub halts the robot.";
 

@@ -195,7 +195,7 @@ impl CalibrationFile {
             Ok(bytes) => {
                 let read: Calibration = serde_json::from_slice(&bytes).map_err(|error| wrong(&error))?;
                 if !(SIZES.contains(&read.width) && SIZES.contains(&read.height)) {
-                    return Err(wrong(&"its size is none of a camera"));
+                    return Err(wrong(&"its size is not that of a camera's image"));
                 }
                 Some(read.checked().map_err(|error| wrong(&error.text))?)
             }
@@ -221,7 +221,7 @@ impl CalibrationFile {
     }
 }
 
-/// Whoever reads at any time, or after a crash, finds the old or the new whole.
+/// A reader at any time, or after a crash, finds the old or the new whole.
 fn write(calibration: &Calibration, path: &Path) -> io::Result<()> {
     let mut name = path.to_owned().into_os_string();
     name.push(".new");

@@ -18,7 +18,7 @@ pub(crate) const PREDICTED: &str = "predicted";
 
 /// A line of several points in the world.
 ///
-/// It goes beside the image: whoever shows the image maps the points by the image's matrix, or leaves them out.
+/// It goes beside the image: the viewer maps the points by the image's matrix, or leaves them out.
 ///
 /// ```
 /// use mom_camera::{Overlay, Scene};

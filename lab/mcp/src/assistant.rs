@@ -225,7 +225,7 @@ impl Assistant {
                 }
                 newer
             });
-            // Whoever drives under it gives it back, and nobody else has it in the hand.
+            // The task that drives under it gives it back, and nobody else has it in the hand.
             if assistant.held(TokenGuard::fence) == Some(fence)
                 && let Ok(guard) = assistant.take().await
             {

@@ -50,7 +50,7 @@ impl Wish {
             ("wait_seconds", self.wait_seconds, 600),
         ] {
             if number.is_some_and(|number| number == 0 || number > most) {
-                return Err(format!("`{name}` is a number from 1 to {most}"));
+                return Err(format!("`{name}` must be a number from 1 to {most}"));
             }
         }
         Ok(())
@@ -243,7 +243,7 @@ pub(crate) async fn run(assistant: &Assistant, script: &str, progress: &mut Prog
     };
     let path = &assistant.places.token;
     let answer = match end {
-        // Nobody watches any more: whoever lent it has it back, and the hub halts the robot.
+        // Nobody watches any more: the lender has it back, and the hub halts the robot.
         End::Cancelled => {
             let ended = hand_back(assistant, guard, runs).await;
             return halted("cancelled", &format!("{path} is given back"), ended);

@@ -89,7 +89,7 @@ pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
     gone.send_replace(true);
     let assistant = assistant.borrow().clone();
     if let Some(assistant) = assistant {
-        // Whoever drives now gives the token back by itself.
+        // A running task gives the token back by itself.
         let _turn = timeout(LAST_TURN, turn.lock()).await;
         assistant.end().await;
     }

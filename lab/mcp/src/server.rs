@@ -106,7 +106,7 @@ impl Tools {
 
     async fn call(&self, call: Call, context: RequestContext<RoleServer>) -> Answer {
         let mut progress = Progress::of(context, self.gone.clone());
-        // Before anything is waited for, so that it is the turn of whoever called first.
+        // Before anything is waited for, so that the first caller has its turn first.
         let turn = match call {
             Call::Look(_) | Call::Where | Call::Stop => None,
             Call::RequestToken(_) | Call::Move(_) | Call::ReturnToken => tokio::select! {

@@ -300,7 +300,7 @@ async fn objects(assistant: &Assistant) -> Result<Json, String> {
         Ok(Ok(content)) => content,
         Ok(Err(VerbFailure::Failed { .. })) | Err(_) => {
             return Err(format!(
-                "nobody keeps a model of the objects in {path}; look at them"
+                "there is no model of the objects in {path}; look at them"
             ));
         }
         Ok(Err(failure)) => return Err(format!("no model of the objects: {failure}")),

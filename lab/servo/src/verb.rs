@@ -65,7 +65,7 @@ Examples:
   mom servo red green --json | jq .mm
 
 Ctrl-C takes the token back at once; the hub halts the robot, and the last line says where the block is. Where the agent does not answer
-to it within a second, the robot is stopped, until somebody lets it go (mom unstop), and 5 s after Ctrl-C this ends: the agent has the
+to it within a second, the robot is stopped, until a user lets it go (mom unstop), and 5 s after Ctrl-C this ends: the agent has the
 token still, until the hub misses it or its scope is over.";
 
 /// How long the agent may take to give the token back after it was cancelled.
@@ -155,7 +155,7 @@ async fn lost(holding: &mut Holding) -> Lost {
     }
 }
 
-/// Whether somebody is there who can do it.
+/// Whether an agent is there that can do it.
 async fn find_agent(client: &Client, args: &VerbArgs) -> Result<(), VerbFailure> {
     let members = client
         .members(&args.agent)
@@ -174,12 +174,12 @@ async fn find_agent(client: &Client, args: &VerbArgs) -> Result<(), VerbFailure>
     ))
 }
 
-/// Cancels the task, again and again; done when the agent has had its time to answer, whoever waits for that.
+/// Cancels the task, again and again; done when the agent has had its time to answer, even if nobody waits for that.
 async fn cancel(agent: &DeviceChannel) {
     let cancel = || {
         let agent = agent.clone();
         let message = Parcel::new(Family::Message, "cancel").content(Map::new());
-        // If it cannot be sent, the link is down, and the hub takes the token from whoever it was.
+        // If it cannot be sent, the link is down, and the hub takes the token from its owner.
         async move { drop(agent.send(message, "cancel the task").await) }
     };
     let _nothing = insist(cancel, std::future::pending::<()>()).await;
@@ -418,8 +418,8 @@ mod tests {
         );
         for (option, value, words) in [
             ("--side", "above", "is not a side: right, left, front or back"),
-            ("--for", "2d", "a time is a number with ms, s, m or h"),
-            ("--for", "0s", "it is a time from 1ms to 1h"),
+            ("--for", "2d", "a time must be a number with ms, s, m or h"),
+            ("--for", "0s", "it must be a time from 1ms to 1h"),
             ("--commands", "0", "0 is not in 1..=10000"),
         ] {
             let error = Line::try_parse_from(["servo", "red", "green", option, value]).unwrap_err();

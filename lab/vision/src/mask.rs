@@ -39,7 +39,7 @@ impl Mask {
         Mask { cells: both, ..*self }
     }
 
-    /// The pixels that are further than so far from all others; what is outside is no other.
+    /// The pixels that are further than so far from all others; what is outside does not count.
     pub(crate) fn shrunk(&self, far: usize) -> Mask {
         self.inverse().grown(far).inverse()
     }

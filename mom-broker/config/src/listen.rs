@@ -199,7 +199,7 @@ impl FromStr for Network {
         };
         if prefix == 0 {
             return Err(format!(
-                "{text} is every address, and whoever is a proxy says who he is; name the proxies' own addresses"
+                "{text} is every address, and a trusted proxy names the client; name the proxies' own addresses"
             ));
         }
         let network = masked(address, prefix);

@@ -275,7 +275,7 @@ fn check(file: &ConfigDocument, source: &SourceText) -> Vec<ConfigError> {
     if file.limits.depth > HARD_DEPTH {
         wrong(
             &["limits", "depth"],
-            format!("depth is a number from 1 to {HARD_DEPTH}"),
+            format!("depth must be a number from 1 to {HARD_DEPTH}"),
         );
     }
     let longest = Limits::default();

@@ -217,7 +217,7 @@ impl Config {
             let named = |channel: &ContextSpec| channel.path.as_deref() == Some(safe.channel.as_str());
             if !self.contexts.iter().any(named) {
                 let text = format!(
-                    "this file has no {}; the safe state reaches somebody only if a peer makes that channel, guarded by this token",
+                    "this file has no {}; the safe state is delivered only if a peer makes that channel, guarded by this token",
                     safe.channel
                 );
                 self.warn(&at(&["safe", "channel"]), text, found);

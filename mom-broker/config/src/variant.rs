@@ -1,4 +1,4 @@
-//! Another configuration for the same hub and users, from a text that somebody has sent.
+//! Another configuration for the same hub and users, from a text that a user has sent.
 
 use super::faults::Reading;
 use super::source::SourceText;

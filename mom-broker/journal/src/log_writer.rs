@@ -1,5 +1,5 @@
-//! The way of log lines to standard error: a thread of its own writes them, so that nobody who logs ever waits for
-//! whoever reads them.
+//! The way of log lines to standard error: a thread of its own writes them, so that logging never waits for their
+//! reader.
 //!
 //! What waits is bounded. Lines beyond that, and those that could not be written, are dropped and counted, and a line
 //! says how many as soon as one can be written again.
@@ -162,7 +162,7 @@ impl<S: Write> WholeLines<S> {
                 Ok(0) => break,
                 Ok(more) => written += more,
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                // Somebody who shares it has made it so.
+                // Another holder of it has made it so.
                 Err(error) if error.kind() == ErrorKind::WouldBlock => thread::sleep(AGAIN),
                 Err(_) => break,
             }

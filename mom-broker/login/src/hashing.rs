@@ -273,7 +273,7 @@ mod tests {
             if entered.is_ok() {
                 tokio::spawn(async move {
                     assert_eq!(answered.await, Ok(true));
-                    told.send(who).expect("somebody listens");
+                    told.send(who).expect("the receiver is there");
                 });
             }
             waiting.extend(entered.ok());

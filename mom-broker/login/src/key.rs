@@ -142,7 +142,7 @@ mod tests {
         assert!(proves(sign(&asked, "mom", "arm", &signer(2))), "either key");
         assert!(
             !proves(sign(&asked, "mom", "arm", &signer(3))),
-            "somebody else's key"
+            "another user's key"
         );
         assert!(!proves(sign(&asked, "dad", "arm", &signer(1))), "another hub's");
         assert!(

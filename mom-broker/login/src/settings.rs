@@ -83,7 +83,7 @@ impl LoginConfig {
     pub fn check(&self) -> Result<(), SettingError> {
         if let Some(keys) = self.zero() {
             let key = keys.last().copied().unwrap_or_default();
-            return Err(SettingError::new(&keys, format!("{key} is a number from 1")));
+            return Err(SettingError::new(&keys, format!("{key} must be a number from 1")));
         }
         check_name(&self.hub).map_err(|error| SettingError::new(&["hub"], error.text))?;
         match self.jwt.as_ref().map(Verifier::new) {

@@ -2,7 +2,7 @@
 //!
 //! Of each key one time is kept, up to which its failures are paid back. Unlike a ready-made limiter this one can be
 //! asked without being charged, because only failures count and they are known afterwards; and it forgets what it has
-//! no room for, because keys come from whoever attacks.
+//! no room for, because keys come from attackers.
 
 use std::collections::HashMap;
 use std::hash::{BuildHasher, Hash, RandomState};

@@ -126,7 +126,7 @@ impl AdmissionLimiter {
         let from = network(from);
         let mut state = self.state.lock();
         if state.closed {
-            return Err(full("this hub takes no more connections"));
+            return Err(full("this hub accepts no more connections"));
         }
         let crowd = state.crowds.get(&from);
         let oldest = if crowd.is_some_and(|crowd| crowd.count >= self.caps.per_address) {
@@ -348,7 +348,7 @@ mod tests {
 
     type Guest = (Seat, oneshot::Receiver<WireError>);
 
-    /// Lets one in who has somebody told to go, or not.
+    /// Lets a connection in, for which another may be told to go.
     fn enter(doors: &Arc<AdmissionLimiter>, from: u8) -> Guest {
         let (seat, told, evicted) = doors.enter(address(from)).expect("let in");
         if let Some(evicted) = evicted {

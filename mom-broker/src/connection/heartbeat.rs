@@ -146,7 +146,7 @@ impl Connection {
         let large = |content: &Content| content.size() > Verb::SIGN_OF_LIFE;
         let bare;
         let parcel = match parcel.content.as_ref().is_some_and(large) {
-            // Whoever measures with it says nothing by it.
+            // A measuring peer says nothing by it.
             true => {
                 bare = Parcel {
                     content: None,

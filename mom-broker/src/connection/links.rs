@@ -26,7 +26,7 @@ pub(crate) struct Links {
     challenges: AtomicU64,
 }
 
-/// One link. Whoever serves its peer looks here when it is woken: another connection may go on with it.
+/// One link. The task that serves its peer looks here when it is woken: another connection may go on with it.
 #[derive(Debug)]
 pub(super) struct PeerLink {
     id: SecretId,

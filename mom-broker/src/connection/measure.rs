@@ -63,7 +63,7 @@ impl Pings {
             return Some(newest.1);
         }
         if answered >= oldest.0 {
-            // Whoever answers one has answered those before it, or never will.
+            // A peer that answers one has answered those before it, or never will.
             asked.oldest = newest;
         }
         (answered == oldest.0).then_some(oldest.1)

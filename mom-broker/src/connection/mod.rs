@@ -45,8 +45,8 @@ pub(crate) use login::{login_timeout, too_late};
 pub(crate) use services::{Seated, Services};
 pub(crate) use serving::{DRAIN, Serving};
 
-/// Frames after which a reader flushes and yields: a peer inside this process may never pause, and whoever adds
-/// something that is not urgent to an outbox that somebody has touched leaves the flush to that one.
+/// Frames after which a reader flushes and yields: a peer inside this process may never pause, and a task that adds
+/// something that is not urgent to an outbox that another task has touched leaves the flush to that one.
 const FRAMES: usize = 256;
 
 /// The same after so long: others wait for this thread, and some of them want to stop a robot.

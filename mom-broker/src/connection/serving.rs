@@ -136,7 +136,7 @@ impl Serving {
             .as_ref()
             .is_some_and(Seat::was_evicted);
         let written = poll_fn(|task| match writer.poll(task) {
-            // Whoever had to go for others gets no time: its descriptor is theirs.
+            // A peer that had to make room gets no time: its descriptor is needed.
             Poll::Pending if evicted => Poll::Ready(()),
             polled => polled,
         });

@@ -366,7 +366,7 @@ async fn a_new_users_file_holds_for_everybody() {
     let error = admit(&logins, 5, late).expect_err("alice is not a user any more");
     assert_eq!(error.code, Code::BAD_LOGIN);
     assert_eq!(admit(&logins, 6, promoted).expect("bob").level, 3);
-    let error = admit(&logins, 7, named).expect_err("dave is somebody now");
+    let error = admit(&logins, 7, named).expect_err("dave is known now");
     assert_eq!(error.code, Code::BAD_NAME);
 
     // The same again changes nothing; without guests the guest goes; what is wrong leaves all as it is.

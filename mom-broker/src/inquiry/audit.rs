@@ -83,7 +83,7 @@ impl Answering {
         let args: Args = read(content.as_ref())?;
         let most = args.most.unwrap_or(USUAL);
         if !(1..=MOST).contains(&most) {
-            return Err(bad("most", format!("most is a number from 1 to {MOST}")));
+            return Err(bad("most", format!("most must be a number from 1 to {MOST}")));
         }
         let query = args.query(path)?;
         let log = &self.board.tap.audit;

@@ -143,7 +143,7 @@ fn row(lines: &[TreeLine], at: usize) -> [String; 3] {
         Devices::These(names) if !names.is_empty() => {
             facts.push_str(&format!("; device: {}", names.join(", ")));
         }
-        // Somebody is meant to obey there.
+        // A device is meant to obey there.
         Devices::These(_) if line.guard.is_some() => facts.push_str("; device: nobody"),
         Devices::These(_) => {}
     }

@@ -163,7 +163,7 @@ fn tell(out: &mut impl Write, explained: &Explanation, supposed: &Supposed) -> R
         (Some(manager), _) if explained.uncovered => format!("none of {manager} covers it"),
         (Some(rule), _) => rule.clone(),
         (None, Some(_)) => format!("the manager {} as a whole", explained.manager),
-        (None, None) => "the hub itself, whatever managers say".to_owned(),
+        (None, None) => "the hub itself, regardless of managers".to_owned(),
     };
     line(out, "rule", &by)?;
     if let Some(place) = &explained.place {

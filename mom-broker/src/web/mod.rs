@@ -185,7 +185,7 @@ impl Web {
                 error = &mut evicted => break Some((StatusCode::SERVICE_UNAVAILABLE, error)),
                 () = &mut login_by, if !leaving => {
                     leaving = true;
-                    // Whoever asks on without end has a place for a while, and comes again for another.
+                    // A client that asks on without end has a place for a while, and comes again for another.
                     if shared.seat.lock().as_ref().is_some_and(Seat::is_stranger) {
                         std::pin::Pin::new(&mut connection).graceful_shutdown();
                     }
@@ -238,7 +238,7 @@ impl HttpConnection {
                 }
                 stream.close(&answers::raw(status, &error)).await;
             }
-            // At once: nothing is under way, or its descriptor is somebody else's.
+            // At once: nothing is under way, or its descriptor is another connection's.
             Some(_) => {}
         }
     }

@@ -221,13 +221,13 @@ mod tests {
         assert_eq!(all as u64 + PER_ADDRESS, ALL);
         assert!(
             reports.state.lock().addresses.len() <= 10,
-            "whoever has reported nothing is not counted"
+            "an address without reports is not counted"
         );
         assert_eq!(taken(address(200), 1 + MINUTE), PER_ADDRESS as usize);
         assert_eq!(
             reports.state.lock().addresses.len(),
             1,
-            "whoever owes nothing is forgotten"
+            "an address that owes nothing is forgotten"
         );
     }
 

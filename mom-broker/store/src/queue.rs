@@ -31,7 +31,7 @@ pub(super) struct StoreQueue {
     rows: Rows,
 }
 
-/// The newest record of a token, and whoever awaits it or an older one that it stands for.
+/// The newest record of a token, and the waiters for it or an older one that it stands for.
 #[derive(Debug)]
 struct Awaited {
     newest: Numbered,

@@ -75,7 +75,7 @@ impl StopFile {
         let others = Others::of(directory, name, &path);
         let mut unread = None;
         let mut records = read(&path, Some(&lock)).unwrap_or_else(|reason| {
-            // Kept for whoever looks for the cause; the next write makes a new one.
+            // Kept for finding the cause; the next write makes a new one.
             let damaged = path.with_extension("damaged");
             let copy = fs::copy(&path, &damaged).ok().map(|_| damaged.display());
             tracing::error!(
@@ -249,7 +249,7 @@ struct Others {
 impl Others {
     fn of(directory: &FilePath, name: &str, own: &FilePath) -> Others {
         let others = all(directory, name).filter(|other| other != own && other.exists());
-        // Locked before they are read: what somebody still writes is not removed.
+        // Locked before they are read: what is still written is not removed.
         let lock = |path: &FilePath| {
             let lock = options().open(path.with_extension("lock")).ok()?;
             lock.try_lock().is_ok().then_some(lock)
@@ -282,8 +282,8 @@ impl Others {
         unread
     }
 
-    /// Removes those of brokers that have ended, once all that they keep is kept here; a damaged one is kept for whoever looks for the
-    /// cause.
+    /// Removes those of brokers that have ended, once all that they keep is kept here; a damaged one is kept, so that the cause
+    /// can be found.
     fn forget(self) {
         for (file, lock) in &self.files {
             let Some(lock) = lock else { continue };

@@ -59,7 +59,7 @@ impl Workers {
         }
     }
 
-    /// Has a job done. Whoever gives jobs bounds how many: there is one for each connection at most that waits for it.
+    /// Has a job done. The caller bounds how many: there is one for each connection at most that waits for it.
     pub fn run(&self, job: impl FnOnce() + Send + 'static) {
         if !*self.started.get_or_init(|| self.start()) {
             // Without threads it is done here, or nobody would do it.
@@ -124,7 +124,7 @@ mod tests {
             let done = done.clone();
             workers.run(move || {
                 done.send((number, thread::current().id()))
-                    .expect("somebody listens");
+                    .expect("the receiver is there");
             });
         }
         let results: Vec<_> = results.iter().take(100).collect();
@@ -138,7 +138,7 @@ mod tests {
         let workers = Workers::new(2);
         for number in 0..10 {
             let done = done.clone();
-            workers.run(move || done.send(number).expect("somebody listens"));
+            workers.run(move || done.send(number).expect("the receiver is there"));
         }
         drop((workers, done));
         assert_eq!(results.iter().count(), 10);

@@ -70,7 +70,7 @@ impl Lab {
         }
     }
 
-    /// Somebody logs in and goes to the channel; what was said to it so far is forgotten.
+    /// A peer logs in and joins the channel; what was said to it so far is forgotten.
     pub(super) fn enter(&mut self, name: &str, level: i32) -> (PeerId, Reader) {
         let peer = self.board.next_peer();
         let (outbox, mut reader) = link(peer, 0);
@@ -193,7 +193,7 @@ fn all_receivers_hear_one_order() {
     });
 }
 
-/// A member that is told of somebody may answer at once, though the route may not have the new one yet: a device says how it stands.
+/// A member that is told of a peer may answer at once, though the route may not have the new one yet: a device says how it stands.
 #[test]
 fn who_has_just_joined_hears_what_is_said_to_it() {
     explore(|| {
@@ -377,7 +377,7 @@ fn a_deleted_channel_delivers_nothing() {
     });
 }
 
-/// Whoever comes while the broker stops is told so, and the stop waits for all to be gone.
+/// A peer that comes while the broker stops is told so, and the stop waits for all to be gone.
 #[test]
 fn nobody_slips_in_while_the_broker_stops() {
     explore(|| {

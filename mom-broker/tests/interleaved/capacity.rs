@@ -208,7 +208,7 @@ fn who_goes_makes_way() {
     });
 }
 
-/// A stop has its own lane: whoever else waits for the receiver, it is taken in at once.
+/// A stop has its own lane: whatever else waits for the receiver, it is taken in at once.
 #[test]
 fn a_stop_does_not_wait() {
     explore(|| {

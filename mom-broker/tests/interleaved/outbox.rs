@@ -62,7 +62,7 @@ fn end(outbox: Arc<Outbox>, writer: shuttle::future::JoinHandle<()>, reader: &mu
     assert!(hear(reader).is_none(), "something came twice");
 }
 
-/// Whoever looks at the link keeps nobody's parcel.
+/// A reader of the link keeps no parcel.
 #[test]
 fn what_is_put_in_while_somebody_looks_at_the_link_leaves() {
     explore(|| {
@@ -269,7 +269,7 @@ fn what_a_blocked_link_gives_back_keeps_its_place() {
     });
 }
 
-/// The error that ends a connection is its last word, whoever else still has something to say.
+/// The error that ends a connection is its last word, even if other senders have more.
 #[test]
 fn nothing_follows_the_last_word() {
     explore(|| {

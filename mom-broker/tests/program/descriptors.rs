@@ -31,7 +31,7 @@ fn users(names: &[&str], hash: &str) -> String {
     names.iter().map(user).collect()
 }
 
-/// Whoever was removed from the users file while no descriptor was left is out as soon as there is one again, whether
+/// A user removed from the users file while no descriptor was left is out as soon as there is one again, whether
 /// the broker saw the change itself or was told of it.
 #[test]
 fn a_change_is_applied_once_descriptors_are_there_again() {

@@ -183,7 +183,7 @@ fn strangers_cost_little_memory() {
         stranger.write_all(&[b' '; 16_000]).expect("written");
         strangers.push(stranger);
     }
-    // Whoever is answered now was read after all of them.
+    // An answer now was read after all of them.
     assert!(broker.login("alice", "alice").contains("<family>reply</family>"));
     let grown = broker.resident().saturating_sub(before);
     assert!(

@@ -92,8 +92,8 @@ fn sighup_reads_the_files_again() {
         "{report}"
     );
     assert!(logs_in(&broker, "ben"));
-    assert!(!logs_in(&broker, "ann"), "removed for whoever comes");
-    // … and for whoever is there: it is told why, and closed.
+    assert!(!logs_in(&broker, "ann"), "removed for new logins");
+    // … and for the connected peer: it is told why, and closed.
     let told = hear_until(&mut ann, "<family>error</family>");
     assert!(told.contains("<name>revoked</name>"), "{told}");
     assert_eq!(ann.read_to_end(&mut Vec::new()).expect("closed in order"), 0);

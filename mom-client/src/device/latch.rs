@@ -55,7 +55,7 @@ pub struct Latch {
 /// Why a device may not move.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Held {
-    /// Somebody has stopped it.
+    /// A peer has stopped it.
     #[error("stopped by {by}{}", .reason.as_ref().map(|reason| format!(": {reason}")).unwrap_or_default())]
     Stopped {
         /// Who.
@@ -149,7 +149,7 @@ impl Latch {
             return Reaction::Halt;
         }
         let held = Held::Stopped {
-            by: by.unwrap_or_else(|| "somebody".to_owned()),
+            by: by.unwrap_or_else(|| "a peer".to_owned()),
             reason,
             number: self.number,
         };

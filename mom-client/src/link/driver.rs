@@ -162,7 +162,7 @@ impl Shared {
     /// The link is gone: open requests get no answer, and tokens are lost (design §5).
     fn lose_link(&self, why: &str, link_is_gone: bool) {
         let mut state = self.lock();
-        // Whoever hears of it has heard that the connection is lost.
+        // Its hearers have heard that the connection is lost.
         let told = matches!(state.status, Status::Resuming);
         state.status = Status::Down;
         self.begin_link(&mut state, None);

@@ -13,7 +13,7 @@ use crate::wire::outbox::{Capacity, Dropped, Entry};
 use crate::{ClientError, Event};
 
 impl Shared {
-    /// Tells of what will not be sent, or not again: whoever waits for an answer by that, all others where the context is heard.
+    /// Tells of what will not be sent, or not again: callers that wait for an answer by that, all others where the context is heard.
     pub(crate) fn tell_dropped(&self, dropped: &Dropped) {
         if dropped.is_empty() {
             return;

@@ -272,7 +272,7 @@ impl Shared {
         let encoded = form.encode(parcel)?;
         let (size, most) = (encoded.len().max(unpacked), me.limits.parcel);
         if !most.allows(size) {
-            let text = format!("a parcel of {size} bytes, the hub takes {most}");
+            let text = format!("the parcel has {size} bytes; the hub accepts at most {most}");
             return Err(ClientError::Local(WireError::new(Code::TOO_LARGE, text)));
         }
         Ok(Outgoing::Encoded(encoded))

@@ -43,10 +43,10 @@ impl Key {
     /// Reads PKCS#8 in PEM, as `mom keygen` and `openssl genpkey -algorithm ed25519` write it.
     ///
     /// # Errors
-    /// `Local` with `bad-encoding` for text that is no such key.
+    /// `Local` with `bad-encoding` for text that is not such a key.
     pub fn from_pem(pem: &str) -> Result<Key, ClientError> {
         // The reason only names types of ASN.1.
-        let wanted = "this is not a private key of Ed25519 in PEM (-----BEGIN PRIVATE KEY-----)";
+        let wanted = "this is not an Ed25519 private key in PEM (-----BEGIN PRIVATE KEY-----)";
         SigningKey::from_pkcs8_pem(pem)
             .map(|key| Key { key })
             .map_err(|_| local(Code::BAD_ENCODING, wanted))

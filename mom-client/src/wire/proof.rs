@@ -133,7 +133,7 @@ impl Credentials {
         let wrong = self.heartbeat.filter(|beat| !HEARTBEATS.contains(beat));
         let Some(beat) = wrong else { return Ok(()) };
         let (least, most) = HEARTBEATS.into_inner();
-        let text = format!("a heartbeat is from {least:?} to {most:?}, not {beat:?}");
+        let text = format!("a heartbeat must be from {least:?} to {most:?}, not {beat:?}");
         let error = WireError::new(Code::BAD_CONTENT, text).slot("content/heartbeat");
         Err(ClientError::Local(error))
     }

@@ -40,8 +40,12 @@ async fn listen() -> TcpListener {
 async fn nobody_came(listener: &TcpListener) {
     let address: SocketAddr = listener.local_addr().expect("it is bound");
     let marker = TcpStream::connect(address).await.expect("it listens");
-    let (_, first) = listener.accept().await.expect("somebody is there");
-    assert_eq!(Some(first), marker.local_addr().ok(), "somebody came before");
+    let (_, first) = listener.accept().await.expect("a client connects");
+    assert_eq!(
+        Some(first),
+        marker.local_addr().ok(),
+        "another client came before"
+    );
 }
 
 /// Over a door that others can listen at no secret is sent: the client says what to write instead, and does not even connect.

@@ -117,7 +117,7 @@ async fn a_key_signs_for_nobody_else() {
     );
     assert!(error.to_string().contains("lab"), "{error}");
     assert_eq!(attempt("lab", "transfer-money-1").await.kind(), ErrorKind::Local);
-    // Whoever has a password has nothing to sign with.
+    // A login by password has nothing to sign with.
     let (mut hub, builder) = local();
     let error = refused(&mut hub, builder, "lab", LOGIN_CONTEXT).await;
     assert_eq!(error.kind(), ErrorKind::Local);
@@ -196,7 +196,7 @@ async fn authenticating_again() {
     assert_eq!(content(&login), Map::new().with("token", "new"));
     peer.join_one("/chat", "channel", Map::new()).await;
     assert_eq!(next(&mut events).await, Event::Rejoined);
-    // A token of somebody else makes another peer of it, which has joined nothing yet.
+    // A token of another user makes another peer of it, which has joined nothing yet.
     again(&mut peer, Ok(welcome("bob"))).await.unwrap();
     assert_eq!(client.user(), "bob");
     assert_eq!(next(&mut events).await, Event::LinkDown);
@@ -232,7 +232,9 @@ async fn a_heartbeat_out_of_range_is_refused_here() {
             .expect_err("out of range");
         assert_eq!(error.kind(), ErrorKind::Local, "{error}");
         assert!(
-            error.to_string().contains("a heartbeat is from 100ms to 10s"),
+            error
+                .to_string()
+                .contains("a heartbeat must be from 100ms to 10s"),
             "{error}"
         );
         let Hub::Local(mut came) = hub else {

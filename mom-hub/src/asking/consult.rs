@@ -57,7 +57,7 @@ impl World {
     ) -> Refusal {
         let managing = self.tree.managing(wish.at);
         let (Some(context), Some(managing)) = (self.tree.get(wish.at), managing) else {
-            self.fault::<()>("a manager has to ask that manages nothing");
+            self.fault::<()>("a manager that manages no context asks a question");
             let text = "no manager is set for this context, so it is closed";
             return WireError::new(Code::DENIED, text).rule(&defer.label).into();
         };
@@ -94,7 +94,7 @@ impl World {
 
     fn consult_again(&mut self, peer: PeerId, wish: &Wish<'_>, answers: &[Heard], repeated: bool) -> Verdict {
         let Some(facts) = self.peers.get(peer).map(|peer| Arc::clone(&peer.facts)) else {
-            self.fault::<()>("a manager is asked about a peer that is not there");
+            self.fault::<()>("asking a manager about a peer that does not exist");
             return nobody();
         };
         let grants = match answers.is_empty() {
@@ -105,7 +105,7 @@ impl World {
         // Taken out while it is asked, because the question borrows the tree.
         let manager = managing.and_then(|managing| self.tree.get_mut(managing)?.manager.take());
         let (Some(managing), Some(mut manager)) = (managing, manager) else {
-            self.fault::<()>("nobody manages a context, not even the root's manager");
+            self.fault::<()>("a context has no manager, not even the root's");
             return nobody();
         };
         let mine = answers.iter().filter(|heard| {
@@ -117,7 +117,7 @@ impl World {
             asks: peer,
         };
         let verdict = match self.question((managing, wish), (peer, &facts), (&given, repeated), &others) {
-            // A manager of somebody else's making that panics must not end the hub, nor let anybody in.
+            // A third-party manager that panics must not end the hub, nor let anyone in.
             Some(question) => std::panic::catch_unwind(AssertUnwindSafe(|| manager.decide(&question)))
                 .unwrap_or_else(|_| {
                     let text = "the manager of this context failed, so access is denied";
@@ -131,7 +131,7 @@ impl World {
         verdict
     }
 
-    /// What the manager of a context knows of it; nothing if it fails, as one of somebody else's making may.
+    /// What the manager of a context knows of it; nothing if it fails, as a third-party one may.
     pub(crate) fn facts(&self, number: ContextNumber) -> Map {
         self.ask_manager(number, |manager, path| manager.facts(path))
     }

@@ -45,7 +45,7 @@ impl World {
     /// A refusal with all that helps: rule, owner, both levels, when to try again, the place in the queue (M29).
     pub(crate) fn explain(&self, peer: PeerId, wish: &Wish<'_>, denial: &Denial) -> WireError {
         let Some(asked) = self.peers.get(peer).map(|peer| &peer.facts) else {
-            self.fault::<()>("a refusal is explained to a peer that is not there");
+            self.fault::<()>("explaining a refusal to a peer that does not exist");
             return WireError::new(denial.code.clone(), denial.text.as_str());
         };
         let error = refusal(denial, asked, self.now);

@@ -39,7 +39,7 @@ pub(crate) struct Due {
     pub(crate) parcel: Parcel,
     /// What managing peers and chairs have answered about it.
     pub(crate) answers: Vec<Heard>,
-    /// If it is a grab that waits in the queue, and somebody has to be asked before it is granted: its token and its ticket.
+    /// If it is a grab that waits in the queue, and a peer has to be asked before it is granted: its token and its ticket.
     pub(crate) waiter: Option<(ContextNumber, u64)>,
 }
 
@@ -143,7 +143,7 @@ impl Questions {
         }
         let peer = request.peer;
         let Some(user) = world.peers.get(peer).map(|peer| Arc::clone(&peer.facts.user)) else {
-            return world.fault("a peer that is not there has to wait for an answer");
+            return world.fault("deferring the request of a peer that does not exist");
         };
         if let Err(error) = self.check_waiting(peer, &user) {
             request.refuse(world, (&error.rule(&label), None), out);
@@ -297,7 +297,7 @@ impl Questions {
         let bytes = self.waiting_of(peer).bytes;
         let first = self.send_of(peer, channel);
         let Some(pending) = first.and_then(|question| self.pending.get_mut(&question)) else {
-            return Err(world.faulted("a send waits behind one that does not wait"));
+            return Err(world.faulted("queuing a send behind one that is not waiting"));
         };
         let user = self.of_user.entry(Arc::clone(&pending.user)).or_default();
         if pending.behind.len() >= MOST_SENDS || bytes >= MOST_BYTES || user.bytes >= MOST_BYTES_OF_USER {
@@ -328,7 +328,7 @@ impl Questions {
         std::iter::once(pending.request).chain(behind).collect()
     }
 
-    /// Refuses the waiting requests of a peer that goes: its connection may be somebody else's next.
+    /// Refuses the waiting requests of a peer that goes: its connection may be another user's next.
     pub(crate) fn refuse_all_of(&mut self, world: &mut World, peer: PeerId, out: &mut Vec<Effect>) {
         let own = self.of_peer.get(&peer).into_iter().flatten();
         let own: Vec<u64> = own.copied().collect();
@@ -418,7 +418,7 @@ fn push_consult(
     out: &mut Vec<Effect>,
 ) {
     let Some(facts) = world.peers.get(deferred.peer).map(|peer| &peer.facts) else {
-        return world.fault("somebody is asked about a peer that is not there");
+        return world.fault("asking a manager about a peer that does not exist");
     };
     let mut content = Map::new().with("verb", deferred.verb.word());
     for (key, value) in peer_map(facts) {

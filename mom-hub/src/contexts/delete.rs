@@ -51,7 +51,7 @@ impl World {
         answer: Option<(PeerId, Option<u64>)>,
     ) -> Option<Deletion> {
         let Some(context) = self.tree.get(number) else {
-            return self.fault("a context is deleted that is not there");
+            return self.fault("deleting a context that does not exist");
         };
         // Within something that is being deleted it goes with that.
         let free = !self.is_doomed(&context.path);
@@ -108,7 +108,7 @@ impl World {
     /// Deletes a context that has nothing below it any more.
     fn delete_one(&mut self, number: ContextNumber, by: &Deleter, out: &mut Vec<Effect>) {
         let Some(context) = self.tree.get(number) else {
-            return self.fault("a context is deleted that is not there");
+            return self.fault("deleting a context that does not exist");
         };
         let (path, parent, kind) = (context.path.clone(), context.parent, context.kind());
         let members: BTreeSet<PeerId> = context.members.keys().copied().collect();
@@ -144,7 +144,7 @@ impl World {
         }
     }
 
-    /// Lets a channel keep the fence of its token, which is no more.
+    /// Lets a channel keep the fence of its token, which was deleted.
     fn note_lost_fence(&mut self, channel: ContextNumber, fence: Fence) {
         let role = self.tree.get_mut(channel).map(|context| &mut context.role);
         if let Some(Role::Channel(channel)) = role

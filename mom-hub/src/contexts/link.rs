@@ -15,7 +15,7 @@ impl World {
     /// them that it is back. Much of that is done in steps.
     pub(crate) fn tell_of_link(&mut self, peer: PeerId, out: &mut Vec<Effect>) {
         let Some(known) = self.peers.get(peer) else {
-            return self.fault("members are told of a peer that is not there");
+            return self.fault("reporting a peer that does not exist to members");
         };
         let lost = known.lost.is_some();
         let mut news = LinkNews {

@@ -40,7 +40,7 @@ impl World {
         let Some(path) = &spec.path else {
             return Err(bad(
                 "path",
-                "a context of the configuration needs its path".to_owned(),
+                "a context in the configuration must have a path".to_owned(),
             ));
         };
         self.make(read_path(path, "path")?, spec, None)
@@ -149,7 +149,7 @@ impl World {
     /// its path since it was deleted there.
     pub(crate) fn link_guards(&mut self, number: ContextNumber) {
         let Some(made) = self.tree.get(number) else {
-            return self.fault("a context that is not there guards or is guarded");
+            return self.fault("setting a guard on or by a context that does not exist");
         };
         let (token, guarded): (Option<ContextNumber>, Vec<ContextNumber>) = match &made.role {
             Role::Session => return,
@@ -284,7 +284,7 @@ impl World {
         let context = self.tree.get(number);
         let parent = context.and_then(|context| self.tree.get(context.parent?));
         let (Some(context), Some(parent)) = (context, parent) else {
-            return self.fault("a context was made that is not there");
+            return self.fault("reporting the creation of a context that does not exist");
         };
         let mut content = context.summary();
         if let Some(by) = by {

@@ -28,7 +28,7 @@ impl World {
     /// Adds a peer to a context and tells its members.
     pub(crate) fn add_member(&mut self, number: ContextNumber, peer: PeerId, out: &mut Vec<Effect>) {
         let (Some(known), Some(context)) = (self.peers.get_mut(peer), self.tree.get_mut(number)) else {
-            return self.fault("a peer or a context is not there that is to be joined");
+            return self.fault("joining a peer or context that does not exist");
         };
         known.joined.insert(number);
         let facts = Arc::clone(&known.facts);
@@ -49,7 +49,7 @@ impl World {
     ) {
         let context = self.tree.get_mut(number);
         let Some(member) = context.and_then(|context| context.members.get_mut(&peer)) else {
-            return self.fault("a peer is to be spared of something where it is not a member");
+            return self.fault("thinning for a peer that is not a member");
         };
         if member.thinning != thinning || member.device != device {
             *member = Arc::new(member.on_terms(thinning, device));
@@ -125,7 +125,7 @@ impl World {
         // Others may have offered it something since the last step.
         while let Some(next) = self.places_to_leave(*peer, top, budget.places) {
             if before.as_ref() == Some(&next) {
-                self.fault::<()>("a peer is still where it was taken out of");
+                self.fault::<()>("a peer is still in a context that it was removed from");
                 return true;
             }
             let (places, how) = &next;

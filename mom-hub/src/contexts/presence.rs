@@ -20,7 +20,7 @@ impl World {
         out: &mut Vec<Effect>,
     ) {
         let Some(context) = self.tree.get(number) else {
-            return self.fault("a context that is not there was joined or left");
+            return self.fault("reporting a join or leave of a context that does not exist");
         };
         let (presence, next_count) = (context.presence, context.next_count);
         if presence == Presence::None {
@@ -58,7 +58,7 @@ impl World {
         }
     }
 
-    /// Whether a context tells of this one by name now. Whoever comes and goes again and again is counted, lest others hear of
+    /// Whether a context tells of this one by name now. A peer that comes and goes again and again is counted, lest others hear of
     /// nothing else; that counts for each user alone, so nobody hides by it who else comes or goes.
     fn is_named(&mut self, number: ContextNumber, who: &PeerFacts) -> bool {
         let above = self.settings.counts_above;

@@ -10,7 +10,7 @@ impl World {
     /// Goes on with what is done in steps, each in its turn; gives the ways out that have come to their ends.
     pub(crate) fn go_on(&mut self, out: &mut Vec<Effect>) -> Vec<Leaving> {
         let Some(job) = self.jobs.pop_front() else {
-            return self.fault("nothing is done in steps");
+            return self.fault("continuing a job in steps where there is none");
         };
         let mut left = Vec::new();
         match job {

@@ -83,7 +83,7 @@ impl Hub {
                 self.world.peers.get(pending.request.peer).is_some(),
                 "who asks is there"
             );
-            assert!(!pending.asked.is_empty(), "somebody is asked");
+            assert!(!pending.asked.is_empty(), "a peer is asked");
             let timer = (pending.until, Timer::Answer(*question));
             assert!(self.world.timers.contains(&timer), "question {question} ends");
         }

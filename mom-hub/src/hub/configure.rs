@@ -45,7 +45,7 @@ pub(super) fn configure(
 
 fn manage_root(world: &mut World, root: &Value) {
     let Ok(manager) = world.registry.build(root) else {
-        return world.fault("a configuration was not checked before");
+        return world.fault("applying a configuration that was not checked");
     };
     let number = world.tree.root().map(|root| root.number);
     let Some(context) = number.and_then(|number| world.tree.get_mut(number)) else {
@@ -60,7 +60,7 @@ fn manage_root(world: &mut World, root: &Value) {
 fn path_of(world: &World, spec: &ContextSpec) -> Option<Path> {
     match spec.path.as_deref().map(Path::parse) {
         Some(Ok(path)) => Some(path),
-        _ => world.fault("an entry of the configuration has no path"),
+        _ => world.fault("a context of the configuration has no path"),
     }
 }
 
@@ -145,7 +145,7 @@ fn change_context(
     lose_guarding(world, number, &role, out);
     world.unguard(number);
     let Some(context) = world.tree.get_mut(number) else {
-        return Err(world.faulted("a context is changed that is not there"));
+        return Err(world.faulted("changing a context that does not exist"));
     };
     context.manager = manager;
     context.manager_word = spec.manager.as_ref().map(manager_word);
@@ -156,7 +156,7 @@ fn change_context(
     context.creator = None;
     world.tree.make_permanent(number);
     let Some(context) = world.tree.get_mut(number) else {
-        return Err(world.faulted("a context is changed that is not there"));
+        return Err(world.faulted("changing a context that does not exist"));
     };
     let mut changed = None;
     match (&mut context.role, role) {
@@ -206,7 +206,7 @@ fn lose_guarding(world: &mut World, channel: ContextNumber, new: &Role, out: &mu
 }
 
 /// Makes the managers of peers' contexts anew, because their names may mean something else now. A context whose manager
-/// is no more is closed.
+/// was removed is closed.
 fn renew_managers(world: &mut World) {
     let made = world.tree.iter().filter(|context| !context.permanent);
     let made: Vec<(ContextNumber, Value)> = made
@@ -219,7 +219,7 @@ fn renew_managers(world: &mut World) {
             .or_else(|_| world.registry.build(&Value::from("closed")));
         match (manager, world.tree.get_mut(number)) {
             (Ok(manager), Some(context)) => context.manager = Some(manager),
-            _ => world.fault("a manager cannot be made anew, not even one that is closed"),
+            _ => world.fault("neither the manager nor a closed one could be built"),
         }
     }
 }
@@ -252,7 +252,7 @@ fn change_user(
         return;
     }
     let Some(root) = world.tree.root().map(|root| root.number) else {
-        return world.fault("there is no root to be put out of");
+        return world.fault("there is no root to expel from");
     };
     let text = "this user, or the credential it logged in with, was removed from the configuration";
     put_out(world, questions, (root, peer, None), Some(text), out);
@@ -284,7 +284,7 @@ fn review(world: &mut World, questions: &mut Questions, out: &mut Vec<Effect>) {
             };
             review_device(world, peer, place);
             if world.refused(peer, Verb::Join, place) {
-                let text = "the configuration has changed: this peer may not be here any more";
+                let text = "the configuration has changed: this peer may no longer be here";
                 put_out(world, questions, (place, peer, None), Some(text), out);
             }
         }
@@ -302,7 +302,7 @@ fn thin_devices(world: &mut World, questions: &mut Questions, out: &mut Vec<Effe
         surplus.extend(devices.into_iter().skip(1).map(|peer| (context.number, peer)));
     }
     for (place, peer) in surplus {
-        let text = "the configuration has changed: one device may be here, and another one was here before";
+        let text = "the configuration has changed: only one device may be here, and another was here first";
         put_out(world, questions, (place, peer, None), Some(text), out);
     }
 }
@@ -335,7 +335,7 @@ fn review_promises(world: &mut World, peer: PeerId, out: &mut Vec<Effect>) {
             world.uninhibit(number, peer, Reason::Revoked.word(), out);
         }
         if promised && world.refused(peer, Verb::Renew, number) {
-            let text = "the configuration has changed: this peer may not own it any more";
+            let text = "the configuration has changed: this peer may no longer own it";
             let error = WireError::new(Code::DENIED, text);
             world.call_off_for(number, peer, &error, Reason::Revoked.word(), out);
         }

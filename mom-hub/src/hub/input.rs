@@ -70,7 +70,7 @@ pub struct Configuration {
     pub registry: Registry,
     /// The manager of the root.
     pub root: Value,
-    /// The contexts that are always there, parents first. One that was there before and is no more is deleted.
+    /// The contexts that are always there, parents first. One that was there before and is there no longer is deleted.
     pub contexts: Vec<ContextSpec>,
     /// What the hub takes from now on.
     pub limits: Limits,

@@ -63,17 +63,17 @@ fn refuse(world: &World, peer: PeerId, id: Option<u64>, error: &WireError, out: 
 /// Puts the facts of a repeated login everywhere; verdicts about the old ones stand no more.
 pub(super) fn refresh(world: &mut World, peer: PeerId, user: User) {
     let Some(facts) = world.peers.update(peer, user) else {
-        return world.fault("a peer that is not there has logged in again");
+        return world.fault("a second login of a peer that does not exist");
     };
     let Some(known) = world.peers.get(peer) else {
-        return world.fault("a peer that has logged in again is not there");
+        return world.fault("changing the login of a peer that does not exist");
     };
     let joined: Vec<ContextNumber> = known.joined.iter().copied().collect();
     let tokens: Vec<ContextNumber> = known.owns.iter().chain(&known.involved).copied().collect();
     for number in joined {
         let context = world.tree.get_mut(number);
         let Some(member) = context.and_then(|context| context.members.get_mut(&peer)) else {
-            world.fault::<()>("a peer has joined a context that does not know it");
+            world.fault::<()>("a peer has joined a context that does not list it");
             continue;
         };
         *member = Arc::new(member.unjudged(Arc::clone(&facts)).holding(false));
@@ -87,7 +87,7 @@ pub(super) fn refresh(world: &mut World, peer: PeerId, user: User) {
 
 fn welcome(world: &World, peer: PeerId) -> Map {
     let Some(peer) = world.peers.get(peer) else {
-        return world.fault("a peer that is not there is welcomed");
+        return world.fault("welcoming a peer that does not exist");
     };
     let groups = peer.facts.groups.iter();
     let groups: Vec<Value> = groups.map(|group| Value::from(group.as_str())).collect();

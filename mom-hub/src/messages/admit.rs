@@ -31,7 +31,7 @@ pub enum Admission {
     /// It may pass, stamped, to these, if its sender has not used up this rate.
     Pass(Receivers, Option<Rate>),
     /// The hub has to decide: no verdict stands for a message of this name and age, a deadline has come on which it has
-    /// not acted yet, or it is from or for somebody whom the route does not know.
+    /// not acted yet, or it is from or for a peer that the route does not know.
     Consult,
 }
 
@@ -259,7 +259,7 @@ fn check_guard(
 ) -> Result<Option<u64>, WireError> {
     let name = &*parcel.name;
     if name == event::HALT {
-        let text = "halt is the hub's word for the safe state; a peer that wants a device to halt sends stop";
+        let text = "only the hub may send halt; send stop to stop a device";
         return Err(WireError::new(Code::DENIED, text).slot("name"));
     }
     let Some(guard) = route.guard.as_ref().filter(|guard| guard.covers(name)) else {

@@ -25,7 +25,7 @@ pub struct Route {
     pub pace: Option<u32>,
     /// What is kept for late joiners; none = nothing.
     pub keep: Option<Keep>,
-    /// Somebody waits for the word of its devices, which comes to the hub then.
+    /// A caller waits for the word of its devices, which comes to the hub then.
     pub awaited: bool,
     /// When a stop was lifted here last, by the hub's time.
     pub lifted: Option<Time>,

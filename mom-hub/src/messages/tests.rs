@@ -478,7 +478,7 @@ fn a_message_goes_to_whom_it_is_addressed() {
         Ok(Receivers::These(vec![1, 0]))
     );
     assert_eq!(to(Some(&[]), None), Ok(Receivers::These(vec![])));
-    // Others may have been told already of somebody who has just joined: the hub knows that, and is asked of few names.
+    // Others may have been told already of a peer that has just joined: the hub knows that, and is asked of few names.
     let mut early = message("say");
     early.address = Some(vec!["alice".into(), "carol".into()]);
     let before = early.clone();

@@ -21,7 +21,7 @@ impl World {
         out: &mut Vec<Effect>,
     ) {
         let Some(token) = self.token(number) else {
-            return self.fault("a token is lost that is not there");
+            return self.fault("ending the ownership of a token that does not exist");
         };
         let Some(ending) = token.ending(reason, self.now) else {
             return;
@@ -55,7 +55,7 @@ impl World {
         let now = self.now;
         match self.token_mut(number) {
             Some(token) => token.renew(now),
-            None => self.fault("a lease is renewed of a token that is not there"),
+            None => self.fault("renewing the lease of a token that does not exist"),
         }
         self.retime(number);
         // The routes tell refused senders how much of the lease is left.
@@ -66,7 +66,7 @@ impl World {
     pub(crate) fn end_at_deadline(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
         let now = self.now;
         let Some(token) = self.token_mut(number) else {
-            return self.fault("a deadline comes for a token that is not there");
+            return self.fault("a deadline of a token that does not exist");
         };
         token.timer = None;
         let reason = token.reason_at_deadline(now);
@@ -100,7 +100,7 @@ impl World {
     ) {
         let (now, floor) = (self.now, self.fence_floor());
         let Some(token) = self.token_mut(number) else {
-            return self.fault("a token that is not there changes its owner");
+            return self.fault("changing the owner of a token that does not exist");
         };
         let (new, rule) = match &to {
             Some(grantee) => (Some(grantee.peer), grantee.rule.clone()),
@@ -146,7 +146,7 @@ impl World {
                 Some(peer) => {
                     peer.owns.remove(&number);
                 }
-                None => self.fault("an owner was not there"),
+                None => self.fault("a token's owner does not exist"),
             }
         }
         if let Some(new) = new {
@@ -154,7 +154,7 @@ impl World {
                 Some(peer) => {
                     peer.owns.insert(number);
                 }
-                None => self.fault("a token is granted to a peer that is not there"),
+                None => self.fault("granting a token to a peer that does not exist"),
             }
         }
         let giver = self.token(number).and_then(Token::giver);
@@ -166,7 +166,7 @@ impl World {
     /// An owner that lost the token by level could not hear the answer to its offer, so it may offer again.
     fn forget_offer_count(&mut self, number: ContextNumber) {
         let Some(token) = self.token_mut(number) else {
-            return self.fault("a token was taken that is not there");
+            return self.fault("reporting the grab of a token that does not exist");
         };
         if let Some((by, to)) = token.offer.as_ref().map(|offer| (offer.by, offer.to)) {
             token.forget_asked((Verb::Give, by, to));

@@ -114,7 +114,7 @@ fn reserved_map(world: &World, reserved: &Reserved) -> Map {
 /// What an owner is told: fence, lease, deadman time, and from whom it has the token for how long.
 pub(crate) fn granted(world: &World, token: ContextNumber) -> Map {
     let Some(token) = world.token(token) else {
-        return world.fault("a token is granted that is not there");
+        return world.fault("granting a token that does not exist");
     };
     let mut map = Map::new()
         .with("fence", token.fence)

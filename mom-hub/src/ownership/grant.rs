@@ -21,7 +21,7 @@ impl World {
             Ticket(self.last_ticket)
         });
         let Some(token) = self.tree.token_mut(number) else {
-            return self.fault("a grant begins of a token that is not there");
+            return self.fault("beginning a grant of a token that does not exist");
         };
         debug_assert!(token.granting.is_none(), "one grant at a time");
         let to = change.to;
@@ -44,10 +44,10 @@ impl World {
     /// calls it off.
     fn finish_grant(&mut self, number: ContextNumber, durable: bool, out: &mut Vec<Effect>) {
         let Some(token) = self.tree.token_mut(number) else {
-            return self.fault("a grant ends of a token that is not there");
+            return self.fault("ending a grant of a token that does not exist");
         };
         let Some(Granting { ticket, change }) = token.granting.take() else {
-            return self.fault("a grant ends that has not begun");
+            return self.fault("ending a grant that was not begun");
         };
         if !durable {
             token.doubt_record();
@@ -88,7 +88,7 @@ impl World {
 
     fn carry_out(&mut self, number: ContextNumber, change: Change, out: &mut Vec<Effect>) {
         let Some(token) = self.token(number) else {
-            return self.fault("a grant is carried out of a token that is not there");
+            return self.fault("completing a grant of a token that does not exist");
         };
         let grantee = token.grantee(&change, self.now);
         let agreed = change.reason == Reason::Given;
@@ -110,7 +110,7 @@ impl World {
     ) {
         match self.tree.get(number) {
             Some(context) => self.push_ok(peer, id, &context.path, Some(granted(self, number)), out),
-            None => self.fault("a grant is answered of a token that is not there"),
+            None => self.fault("answering a grant of a token that does not exist"),
         }
     }
 
@@ -133,7 +133,7 @@ impl World {
         }
         let owner = self.owner_of(number).and_then(|owner| self.holder(owner));
         let Some(token) = self.token_mut(number) else {
-            return self.fault("a record is corrected of a token that is not there");
+            return self.fault("correcting the record of a token that does not exist");
         };
         if let Some(record) = token.correct_record(owner) {
             out.push(Effect::Store { record, ticket: None });
@@ -191,7 +191,7 @@ impl World {
     /// Calls off a grant whose agreeing owner is not the owner any more.
     pub(super) fn call_off_agreed(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
         let Some(context) = self.tree.get(number) else {
-            return self.fault("a grant is called off of a token that is not there");
+            return self.fault("cancelling a grant of a token that does not exist");
         };
         let token = context.token();
         let promise = token.and_then(|token| Some((token, token.promise()?)));

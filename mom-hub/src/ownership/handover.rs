@@ -18,14 +18,14 @@ impl World {
         let (_, _, to) = asked;
         match self.token(number) {
             Some(token) => token.check_again(asked, &self.name_of(to), self.now),
-            None => Err(self.faulted("a token is handed over that is not there")),
+            None => Err(self.faulted("handing over a token that does not exist")),
         }
     }
 
     pub(crate) fn forget_asked(&mut self, number: ContextNumber, asked: Asked) {
         match self.token_mut(number) {
             Some(token) => token.forget_asked(asked),
-            None => self.fault("a token was handed over that is not there"),
+            None => self.fault("reporting the hand-over of a token that does not exist"),
         }
     }
 
@@ -43,11 +43,11 @@ impl World {
         set_given(&mut content, &offer);
         let now = self.now;
         let Some(context) = self.tree.get_mut(number) else {
-            return self.fault("a token is offered that is not there");
+            return self.fault("offering a token that does not exist");
         };
         let path = context.path.clone();
         let Some(token) = context.token_mut() else {
-            return self.fault("a context is offered that is not a token");
+            return self.fault("offering a context that is not a token");
         };
         token.note_asked((Verb::Give, owner, to), now);
         content.set("fence", token.fence);
@@ -83,7 +83,7 @@ impl World {
         out: &mut Vec<Effect>,
     ) {
         let Some(context) = self.tree.get(number) else {
-            return self.fault("an offer or a request lapses on a token that is not there");
+            return self.fault("a lapse of an offer or request of a token that does not exist");
         };
         let content = Map::new()
             .with("what", what)
@@ -108,18 +108,18 @@ impl World {
         let now = self.now;
         let mut content = match self.peers.get(peer) {
             Some(known) => peer_map(&known.facts),
-            None => return self.fault("a peer that is not there asks for a token"),
+            None => return self.fault("a request for a token by a peer that does not exist"),
         };
         content.set("within", self.millis_until(until));
         if let Some(text) = text {
             content.set("text", text);
         }
         let Some(context) = self.tree.get_mut(number) else {
-            return self.fault("a token is asked for that is not there");
+            return self.fault("requesting a token that does not exist");
         };
         let path = context.path.clone();
         let Some(token) = context.token_mut() else {
-            return self.fault("a context is asked for that is not a token");
+            return self.fault("requesting a context that is not a token");
         };
         token.asking.push(asking);
         token.note_asked((Verb::Request, peer, owner), now);
@@ -160,7 +160,7 @@ impl World {
             .token(number)
             .and_then(|token| token.asking.iter().find(|asking| asking.ticket == ticket));
         let Some(peer) = asking.map(|asking| asking.peer) else {
-            return self.fault("a request ends that was not made");
+            return self.fault("ending a request that was not made");
         };
         let mut error = self.held(peer, number);
         error.code = Code::TIMED_OUT;
@@ -173,7 +173,7 @@ impl World {
         self.end_offer(number, "lost", out);
         self.call_off_agreed(number, out);
         let Some(context) = self.tree.get(number) else {
-            return self.fault("a token that is not there has lost its owner");
+            return self.fault("a token that does not exist has lost its owner");
         };
         let text = format!(
             "the owner that this peer asked has lost {}; grab it, or ask again",
@@ -209,7 +209,7 @@ impl World {
         out: &mut Vec<Effect>,
     ) {
         let Some(context) = self.tree.get(number) else {
-            return self.fault("a peer waits for a token that is not there");
+            return self.fault("queuing a peer for a token that does not exist");
         };
         let text = format!("this peer has left where {} is", context.path);
         let error = WireError::new(Code::NOT_MEMBER, text);

@@ -21,7 +21,7 @@ pub(super) struct Ended {
 
 pub(super) fn push_released(world: &World, number: ContextNumber, ended: &Ended, out: &mut Vec<Effect>) {
     let Some(context) = world.tree.get(number) else {
-        return world.fault("a token is released that is not there");
+        return world.fault("releasing a token that does not exist");
     };
     let by = ended.by.map(|by| world.name_of(by));
     let mut content = Map::new()
@@ -60,7 +60,7 @@ pub(super) fn push_grabbed(
 ) {
     let context = world.tree.get(number);
     let Some((context, token)) = context.and_then(|context| Some((context, context.token()?))) else {
-        return world.fault("a token is granted that is not there");
+        return world.fault("granting a token that does not exist");
     };
     let mut content = Map::new().with("owner", world.name_of(new));
     content.set("level", world.owner_level(token).unwrap_or_default());
@@ -93,7 +93,7 @@ impl World {
     /// Tells the peers that a token concerns that its owner has lost its connection, or has come back.
     pub(crate) fn push_link(&self, number: ContextNumber, owner: PeerId, out: &mut Vec<Effect>) {
         let (Some(context), Some(known)) = (self.tree.get(number), self.peers.get(owner)) else {
-            return self.fault("a token or its owner is not there");
+            return self.fault("a token or its owner does not exist");
         };
         let mut content = peer_map(&known.facts);
         let name = match known.lost {

@@ -15,7 +15,7 @@ use crate::world::World;
 pub(super) fn push_safe_state(world: &World, number: ContextNumber, out: &mut Vec<Effect>) {
     match world.token(number) {
         Some(token) => push(world, token, &token.guarded, out),
-        None => world.fault("a safe state is due for a token that is not there"),
+        None => world.fault("sending the safe state for a token that does not exist"),
     }
 }
 
@@ -39,7 +39,7 @@ impl World {
     /// when others were allowed to begin it.
     pub(crate) fn push_guard(&self, channel: ContextNumber, out: &mut Vec<Effect>) {
         let Some(context) = self.tree.get(channel) else {
-            return self.fault("a channel has another guard that is not there");
+            return self.fault("changing the guard of a channel that does not exist");
         };
         let guard = context.channel().and_then(|channel| channel.guard.as_ref());
         let guard = guard.map_or_else(Map::new, |guard| {
@@ -61,7 +61,7 @@ fn push(world: &World, token: &Token, channels: &BTreeSet<ContextNumber>, out: &
     else {
         for channel in channels {
             if !token.guarded.contains(channel) {
-                world.fault::<()>("a token does not know a channel that it guards");
+                world.fault::<()>("a token does not list a channel that it guards");
             }
             push_to(world, *channel, event::HALT, None, out);
         }
@@ -83,7 +83,7 @@ fn push_to(
     out: &mut Vec<Effect>,
 ) {
     let Some(context) = world.tree.get(channel) else {
-        return world.fault("a token guards a channel that is not there");
+        return world.fault("a token guards a channel that does not exist");
     };
     let to: Vec<_> = context.members.keys().copied().collect();
     if to.is_empty() {

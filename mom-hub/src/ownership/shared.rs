@@ -12,7 +12,7 @@ impl World {
     pub(crate) fn inhibit(&mut self, number: ContextNumber, peer: PeerId, out: &mut Vec<Effect>) {
         let now = self.now;
         let Some(token) = self.token_mut(number) else {
-            return self.fault("a token is inhibited that is not there");
+            return self.fault("inhibiting a token that does not exist");
         };
         if token.holders.insert(peer, now).is_some() {
             return;
@@ -65,7 +65,7 @@ impl World {
     ) {
         let context = self.tree.get(number);
         let Some((context, token)) = context.and_then(|context| Some((context, context.token()?))) else {
-            return self.fault("a token is shared that is not there");
+            return self.fault("sharing a token that does not exist");
         };
         let mut content = Map::new()
             .with("peer", self.name_of(peer))

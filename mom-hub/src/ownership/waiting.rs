@@ -25,7 +25,7 @@ impl World {
     ) -> Result<(), WireError> {
         let (peer, ticket, until) = (waiter.peer, waiter.ticket, waiter.until);
         let Some(token) = self.token_mut(number) else {
-            return Err(self.faulted("a grab waits for a token that is not there"));
+            return Err(self.faulted("queuing a grab of a token that does not exist"));
         };
         token.enqueue(waiter)?;
         if let Some(until) = until {
@@ -39,11 +39,11 @@ impl World {
         Ok(())
     }
 
-    /// Lets a grab wait on about which somebody was asked, with the answers that it has got, and has those behind it looked at.
+    /// Lets a grab wait on about which a peer was asked, with the answers that it has got, and has those behind it looked at.
     pub(crate) fn wait_on(&mut self, number: ContextNumber, ticket: u64, answers: &[Heard]) {
         let waiter = self.token_mut(number).and_then(|token| token.waiter_mut(ticket));
         let Some(waiter) = waiter else {
-            return self.fault("a grab waits on that has not waited");
+            return self.fault("continuing the wait of a grab that was not waiting");
         };
         waiter.asking = false;
         waiter.answers = answers.to_vec();
@@ -86,7 +86,7 @@ impl World {
     /// Ends a grab that has waited as long as it wanted to.
     pub(crate) fn end_wait(&mut self, number: ContextNumber, ticket: u64, out: &mut Vec<Effect>) {
         let Some(waiter) = self.take_waiter(number, ticket) else {
-            return self.fault("a wait ends that has not begun");
+            return self.fault("ending a wait that was not begun");
         };
         let mut error = self.held(waiter.peer, number);
         error.code = Code::TIMED_OUT;
@@ -146,7 +146,7 @@ impl World {
                     continue;
                 }
                 Answer::Deny(denial) => self.explain(waiter.peer, &wish, &denial),
-                // Whoever has to be asked was not asked before, as the token could not be granted then.
+                // Those who have to be asked were not asked before, as the token could not be granted then.
                 Answer::Defer(_) => {
                     if let Some(token) = self.token_mut(number) {
                         token.set_asking(waiter.ticket, true);
@@ -217,11 +217,11 @@ impl World {
     pub(crate) fn tell_queue(&mut self, number: ContextNumber, out: &mut Vec<Effect>) {
         let now = self.now;
         let Some(context) = self.tree.get_mut(number) else {
-            return self.fault("a queue is told of a token that is not there");
+            return self.fault("reporting the queue of a token that does not exist");
         };
         let path = context.path.clone();
         let Some(token) = context.token_mut() else {
-            return self.fault("a queue is told of a context that is not a token");
+            return self.fault("reporting the queue of a context that is not a token");
         };
         let (places, turn) = (token.take_place_news(now), token.take_turn_news(now));
         for news in places {

@@ -65,7 +65,7 @@ pub(crate) fn begin(
 ) -> Result<(), WireError> {
     let args: Args = content::read_or_default(parcel)?;
     let Some((path, kind)) = world.tree.get(top).map(|top| (top.path.clone(), top.kind())) else {
-        return Err(world.faulted("a context is stopped that is not there"));
+        return Err(world.faulted("stopping a context that does not exist"));
     };
     let within = args.within.unwrap_or(USUAL).min(LONGEST);
     if kind == ContextKind::Session {
@@ -146,7 +146,7 @@ fn order(
         (Verb::Unstop, ContextKind::Channel, ..) => {
             return bad(
                 "stop",
-                "an unstop names the newest stop that its user has seen: the key stop, with the number that info tells",
+                "unstop requires stop: the number, from info, of the newest stop that its user has seen",
             );
         }
         (Verb::Unstop, _, None, Some(stops)) => {

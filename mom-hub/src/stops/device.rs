@@ -35,29 +35,26 @@ impl DeviceWord {
             Value::Bool(device) => return Ok(device.then(DeviceWord::default)),
             Value::Map(map) => map,
             _ => {
-                return Err(bad(
-                    "content/device",
-                    "device is a boolean, or a map {stop, stopped}",
-                ));
+                return Err(bad("content/device", "device must be a boolean or a map"));
             }
         };
         let is_known = |key: &str| [STOP, "stopped"].contains(&key) || installation::KEYS.contains(&key);
         if let Some((key, _)) = map.iter().find(|(key, _)| !is_known(key)) {
             return Err(bad(
                 &format!("content/device/{key}"),
-                "device has the keys stop, stopped, installation and begun",
+                "device may have only the keys stop, stopped, installation and begun",
             ));
         }
         let number = match map.get(STOP) {
             None => 0,
             Some(Value::Int(number)) => u64::try_from(*number)
-                .map_err(|_| bad("content/device/stop", "the number of a stop is not negative"))?,
-            Some(_) => return Err(bad("content/device/stop", "the number of a stop is an int")),
+                .map_err(|_| bad("content/device/stop", "the number of a stop must not be negative"))?,
+            Some(_) => return Err(bad("content/device/stop", "the number of a stop must be an int")),
         };
         let stopped = match map.get("stopped") {
             None => false,
             Some(Value::Bool(stopped)) => *stopped,
-            Some(_) => return Err(bad("content/device/stopped", "stopped is a boolean")),
+            Some(_) => return Err(bad("content/device/stopped", "stopped must be a boolean")),
         };
         Ok(Some(DeviceWord {
             number: number.into(),
@@ -71,7 +68,7 @@ impl DeviceWord {
             return Ok(());
         }
         let text = format!(
-            "no hub has assigned the stop number {}; check that this machine's clock is right, or start the device without what it remembers",
+            "no hub has assigned the stop number {}; check that this machine's clock is right, or start the device without its stored state",
             self.number
         );
         Err(WireError::new(Code::BAD_CONTENT, text).slot("content/device/stop"))
@@ -92,7 +89,7 @@ impl World {
         let name = self.peers.get(peer).map(|peer| Arc::clone(&peer.facts.name));
         let path = self.tree.get(channel).map(|context| context.path.clone());
         let (Some(name), Some(path)) = (name, path) else {
-            return self.fault("a device is met that is not there");
+            return self.fault("welcoming a device that does not exist");
         };
         if !self.stops.latch(&path).device {
             self.stops.latch_mut(&path).device = true;
@@ -124,7 +121,7 @@ impl World {
         let stop = self.stop_by(peer, word.number, Some("it was stopped when it joined".into()));
         let path = self.tree.get(channel).map(|context| context.path.clone());
         let (Some(stop), Some(path)) = (stop, path) else {
-            return self.fault("a device is met that is not there");
+            return self.fault("welcoming a device that does not exist");
         };
         let before = self.stops.latch(&path);
         let latch = self.stops.latch_mut(&path);

@@ -23,13 +23,13 @@ pub(crate) fn unstop(
     out: &mut Vec<Effect>,
 ) -> Result<(), WireError> {
     let Some(path) = world.tree.get(channel).map(|context| context.path.clone()) else {
-        return Err(world.faulted("an unstop is for a channel that is not there"));
+        return Err(world.faulted("unstopping a channel that does not exist"));
     };
     let up_to = named(&parcel)?;
     let mut latch = world.stops.latch(&path);
     if up_to > latch.newest {
         let text = format!(
-            "{path} has had no stop of this number; its newest is {}",
+            "{path} has no stop with this number; its newest is {}",
             latch.newest
         );
         return Err(WireError::new(Code::BAD_SLOT, text)
@@ -212,7 +212,7 @@ fn newer_stop(path: &Path, newest: Fence, newer: &[Newer]) -> WireError {
     let by = newer.iter().map(|(_, stop)| stop).max_by_key(|stop| stop.number);
     let text = match by {
         Some(stop) => format!(
-            "{} stopped {path} again since; look at it before you unstop it",
+            "{} stopped {path} again since; check it before you unstop it",
             stop.by
         ),
         None => format!("{path} was stopped again since"),

@@ -1,4 +1,4 @@
-//! Stops of devices: numbered in the order of their causes, remembered over absence and restarts, told to whoever is
+//! Stops of devices: numbered in the order of their causes, remembered over absence and restarts, told to all that are
 //! concerned (M43).
 //!
 //! A stop is handed out before it is kept, an unstop is kept before it is handed out: whatever is lost on the way, the

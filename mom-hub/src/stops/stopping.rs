@@ -48,7 +48,7 @@ impl World {
         let path = self.tree.get(channel).map(|context| context.path.clone());
         let stop = self.stop_by(peer, number, stopping.reason.clone());
         let (Some(path), Some(stop)) = (path, stop) else {
-            return self.fault("a stop is taken that nobody says, or nowhere");
+            return self.fault("a stop by a peer or for a channel that does not exist");
         };
         let latch = self.stops.latch_mut(&path);
         let new = latch.issue(stop, only);

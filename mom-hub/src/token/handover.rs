@@ -22,7 +22,7 @@ const REMEMBERED: usize = 256;
 
 impl Token {
     /// Checks that the same peer was not offered the token, or asked for it, by the same one too often: each time both
-    /// are told, and nobody may fill somebody else's control lane.
+    /// are told, and nobody may fill another's control lane.
     ///
     /// # Errors
     /// `try-later`, with the time until then.
@@ -80,7 +80,7 @@ pub(crate) fn not_again(now: Micros, until: Micros, name: &str) -> Result<(), Wi
     if now >= until {
         return Ok(());
     }
-    let text = format!("{name} was asked the same before, a short while ago");
+    let text = format!("{name} was asked the same a short while ago");
     Err(WireError::new(Code::TRY_LATER, text)
         .rule("not again and again")
         .retry_after(Duration::from_micros(until - now)))

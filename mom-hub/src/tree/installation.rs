@@ -35,13 +35,10 @@ impl Installation {
                 }))
             }
             (Some(_), Some(Value::Time(_))) => {
-                Err(bad(KEYS[0], "the installation is a name of 64 bytes at most"))
+                Err(bad(KEYS[0], "installation must be a name of at most 64 bytes"))
             }
-            (Some(_), _) => Err(bad(KEYS[1], "an installation says as a time when it was started")),
-            (None, _) => Err(bad(
-                KEYS[0],
-                "a device that says when it was started names its installation",
-            )),
+            (Some(_), _) => Err(bad(KEYS[1], "begun must be a time")),
+            (None, _) => Err(bad(KEYS[0], "begun requires installation")),
         }
     }
 

@@ -44,12 +44,12 @@ pub struct KeepArgs {
 impl KeepArgs {
     pub(crate) fn read(self) -> Result<Keep, WireError> {
         if self == KeepArgs::default() {
-            let text = "keep says latest = true, or parcels, bytes or age of a history";
+            let text = "keep requires latest = true, or parcels, bytes or age";
             return Err(bad("keep", text.to_owned()));
         }
         let within = |key: &str, value: Option<usize>, usual: usize, most: usize| {
             let value = value.unwrap_or(usual);
-            let text = || format!("{key} is a number from 1 to {most}");
+            let text = || format!("{key} must be a number from 1 to {most}");
             let fits = (1..=most).contains(&value);
             fits.then_some(value)
                 .ok_or_else(|| bad(&format!("keep/{key}"), text()))

@@ -283,7 +283,7 @@ impl Tree {
             (true, _) => context.path.to_string(),
             (false, _) => format!("something below {}", context.path),
         };
-        let text = format!("{what} belongs to the configuration and stays");
+        let text = format!("{what} is part of the configuration and cannot be deleted");
         Err(WireError::new(Code::PERMANENT, text).slot("context"))
     }
 

@@ -87,7 +87,7 @@ struct Rest {
 /// Peers of one nickname from which on that number is remembered.
 const CROWD: u32 = 16;
 
-/// Names of one user that rest at a time; of more, the first may be had by others before its time. So whoever comes and
+/// Names of one user that rest at a time; of more, the first may be had by others before its time. So a user that comes and
 /// goes under ever new names fills nobody's memory, and loses but its own.
 const RESTING: usize = 256;
 

@@ -116,7 +116,7 @@ impl SafeArgs {
         check_message_name(&self.name).map_err(|error| error.slot("content/safe/name"))?;
         match &*self.name {
             event::STOP | event::UNSTOP => {
-                let text = "stop and unstop are for peers with a right to them; leave safe out for halt";
+                let text = "safe cannot be stop or unstop, which need a right of their own; leave safe out to send halt";
                 Err(bad("safe/name", text.to_owned()))
             }
             _ => Ok(()),
@@ -142,9 +142,7 @@ impl ContextSpec {
     pub(crate) fn pace(&self) -> Result<Option<u32>, WireError> {
         match self.pace {
             Some(pace) if pace < LEAST_PACE => {
-                let text = format!(
-                    "{pace} bytes a second are fewer than {LEAST_PACE}, the least that a device reads"
-                );
+                let text = format!("{pace} bytes a second are below the minimum, {LEAST_PACE}");
                 Err(bad("pace", text))
             }
             pace => Ok(pace),

@@ -69,7 +69,7 @@ impl StopRow {
     pub fn record(self) -> Result<StopRecord, String> {
         let stop = |facts: StopFacts| {
             let since = Time::from_micros(facts.since)
-                .ok_or_else(|| format!("{} µs are beyond all times", facts.since))?;
+                .ok_or_else(|| format!("{} µs is out of range", facts.since))?;
             Ok::<_, String>(Arc::new(Stop {
                 number: facts.number.into(),
                 by: facts.by.into(),

@@ -59,7 +59,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     let Allowed { rule, grant } = world.allow(request, number)?;
     let owner = world.owner_of(number);
     let Some(offer) = world.take_offer(number) else {
-        return Err(world.faulted("an offer is accepted that is not there").into());
+        return Err(world.faulted("accepting an offer that does not exist").into());
     };
     world.forget_asked(number, (Verb::Give, offer.by, peer));
     let change = Change {
@@ -80,7 +80,7 @@ pub(super) fn asking(world: &World, request: &Request, name: &str) -> Result<Pee
     let peer = world.peers.id_of(name);
     let peer = peer.filter(|peer| token.is_some_and(|(_, token)| token.asks(*peer)));
     peer.ok_or_else(|| {
-        let text = format!("{name:?} does not ask for {}, or not any more", request.path);
+        let text = format!("{name:?} has no open request for {}", request.path);
         WireError::new(Code::NO_OFFER, text).slot("content/peer")
     })
 }
@@ -92,6 +92,6 @@ pub(super) fn offered(world: &World, request: &Request) -> Result<(), WireError>
     if offer.is_some_and(|offer| offer.to == request.peer) {
         return Ok(());
     }
-    let text = format!("nobody offers {} to this peer, or not any more", request.path);
+    let text = format!("there is no open offer of {} to this peer", request.path);
     Err(WireError::new(Code::NO_OFFER, text))
 }

@@ -285,7 +285,7 @@ pub(crate) fn no_context(path: &Path) -> WireError {
 }
 
 fn no_number(number: ContextNumber) -> WireError {
-    let text = format!("there is no context of number {}", number.0);
+    let text = format!("there is no context with the number {}", number.0);
     WireError::new(Code::UNKNOWN_PATH, text).slot("context")
 }
 

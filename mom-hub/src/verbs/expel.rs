@@ -69,7 +69,7 @@ fn keep_out(world: &mut World, number: ContextNumber, peer: PeerId, time: Micros
     let (now, until) = (world.now, world.after(time));
     let user = world.peers.get(peer).map(|peer| Arc::clone(&peer.facts.user));
     let (Some(user), Some(context)) = (user, world.tree.get_mut(number)) else {
-        return Err(world.faulted("a peer or a context is not there that it is put out of"));
+        return Err(world.faulted("expelling a peer that does not exist, or from a context that does not"));
     };
     context.expelled.retain(|_, until| now < *until);
     if time > 0 {
@@ -84,7 +84,7 @@ fn keep_out(world: &mut World, number: ContextNumber, peer: PeerId, time: Micros
     Ok(())
 }
 
-/// Puts a peer out of a context and all below it; out of the root is out of the hub. Whoever has asked for it is
+/// Puts a peer out of a context and all below it; out of the root is out of the hub. The requester is
 /// answered.
 pub(crate) fn put_out(
     world: &mut World,
@@ -94,7 +94,7 @@ pub(crate) fn put_out(
     out: &mut Vec<Effect>,
 ) {
     let (Some(context), Some(known)) = (world.tree.get(number), world.peers.get(peer)) else {
-        return world.fault("a peer or a context is not there that it is put out of");
+        return world.fault("expelling a peer that does not exist, or from a context that does not");
     };
     let (path, root) = (context.path.clone(), context.parent.is_none());
     let mut content = peer_map(&known.facts);

@@ -91,11 +91,11 @@ fn check_message(verb: Option<Verb>, args: &Args) -> Result<(), WireError> {
     if args.message.is_some() && verb != Some(Verb::Send) {
         return Err(content::bad(
             "message",
-            "a message has a name for verb send only".to_owned(),
+            "message requires the verb send".to_owned(),
         ));
     }
     if args.kind.is_some() && verb != Some(Verb::Create) {
-        return Err(content::bad("kind", "a kind is for verb create".to_owned()));
+        return Err(content::bad("kind", "kind requires the verb create".to_owned()));
     }
     Ok(())
 }

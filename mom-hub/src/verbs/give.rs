@@ -40,12 +40,12 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     let within = content::micros(args.within, "within")?;
     let time: Option<Micros> = args.r#for.map(|time| content::micros(time, "for")).transpose()?;
     if args.commands == Some(0) || args.commands.is_some_and(|commands| commands >= 1 << 53) {
-        return Err(content::bad("commands", "commands is a number from 1".to_owned()).into());
+        return Err(content::bad("commands", "commands must be a number, at least 1".to_owned()).into());
     }
     world.check_not_lent(number, "given on")?;
     let to = neighbour(world, number, &args.to)?;
     if to == peer {
-        return Err(content::bad("to", "this peer has it already".to_owned()).into());
+        return Err(content::bad("to", "this peer already owns it".to_owned()).into());
     }
     world.check_again(number, (Verb::Give, peer, to))?;
     // The receiver hears of each, also of those that have lapsed.

@@ -176,7 +176,7 @@ fn patience(args: &Args) -> Result<Patience, WireError> {
         }
         Some(_) => Err(content::bad(
             "wait",
-            "wait is a number of ms, or unlimited".to_owned(),
+            "wait must be a number of ms, or unlimited".to_owned(),
         )),
     }
 }

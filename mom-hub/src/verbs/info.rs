@@ -15,7 +15,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     let number = world.allowed(request)?;
     let Some(context) = world.tree.get(number) else {
         return Err(world
-            .faulted("a manager has allowed something where nothing is")
+            .faulted("a manager allowed a verb on a context that does not exist")
             .into());
     };
     let mut info = context.summary().with("members", count(context.members.len()));

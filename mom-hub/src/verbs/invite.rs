@@ -29,7 +29,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     let number = world.allowed(request)?;
     let args: Args = content::read(&request.parcel)?;
     if !world.tree.is_member(request.peer, number) {
-        let text = format!("only members of {} invite to it", request.path);
+        let text = format!("only members of {} may invite to it", request.path);
         return Err(WireError::new(Code::NOT_MEMBER, text).slot("context").into());
     }
     let peer = world.peers.id_of(&args.peer).ok_or_else(|| {
@@ -40,7 +40,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     let (now, until) = (world.now, world.after(INVITED));
     let Some(context) = world.tree.get_mut(number) else {
         return Err(world
-            .faulted("a manager has allowed something where nothing is")
+            .faulted("a manager allowed a verb on a context that does not exist")
             .into());
     };
     context.invited.retain(|_, until| now < *until);
@@ -53,9 +53,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     context.invited.insert(peer, until);
     world.tree.name_peer(peer, number);
     let Some(context) = world.tree.get(number) else {
-        return Err(world
-            .faulted("a context is gone to which a peer was invited")
-            .into());
+        return Err(world.faulted("inviting to a context that does not exist").into());
     };
     let content = context
         .summary()

@@ -61,7 +61,10 @@ pub(crate) fn on(
         check_not_expelled(world, request.peer, number)?;
         let joined = world.peers.get(request.peer).map_or(0, |peer| peer.joined.len());
         if !world.settings.limits.joined.allows(joined + 1) {
-            let text = format!("a peer joins at most {} contexts", world.settings.limits.joined);
+            let text = format!(
+                "a peer can join at most {} contexts",
+                world.settings.limits.joined
+            );
             return Err(WireError::new(Code::FULL, text).into());
         }
     }
@@ -90,7 +93,7 @@ pub(crate) fn on(
 fn describe(world: &World, peer: PeerId, number: ContextNumber, is_device: bool) -> Result<Map, Refusal> {
     let Some(context) = world.tree.get(number) else {
         return Err(world
-            .faulted("a manager has allowed something where nothing is")
+            .faulted("a manager allowed a verb on a context that does not exist")
             .into());
     };
     let mut content = context.summary();
@@ -174,7 +177,7 @@ fn terms(world: &World, request: &Request, number: ContextNumber) -> Result<Opti
     }
     if (thinning.thins() || device.is_some()) && !is_channel {
         let text = format!(
-            "{} is not a channel: only messages are thinned, and devices stop",
+            "{} is not a channel: newest, rate and device are for channels only",
             request.path
         );
         return Err(WireError::new(Code::WRONG_KIND, text).slot("content"));

@@ -28,7 +28,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     let args: Args = content::read_or_default(&request.parcel)?;
     let Some(context) = world.tree.get(number) else {
         return Err(world
-            .faulted("a manager has allowed something where nothing is")
+            .faulted("a manager allowed a verb on a context that does not exist")
             .into());
     };
     of_kind(context, ContextKind::Session, Verb::List)?;

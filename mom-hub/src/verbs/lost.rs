@@ -79,7 +79,7 @@ pub(crate) fn resume(world: &mut World, peer: PeerId, out: &mut Vec<Effect>) {
 pub(crate) fn end_grace(world: &mut World, questions: &mut Questions, peer: PeerId, out: &mut Vec<Effect>) {
     match world.peers.get_mut(peer) {
         Some(known) => known.lost = None,
-        None => return world.fault("a peer is not there whose time to come back is over"),
+        None => return world.fault("the grace time of a peer that does not exist has ended"),
     }
     // Who is on its way out for another reason hears that at its end, if anything.
     if world.is_leaving(peer, &Path::root()) {

@@ -58,7 +58,7 @@ pub(crate) fn on(
     };
     let Some(route) = world.route(number) else {
         return Err(world
-            .faulted("a message is admitted to a channel that is not there")
+            .faulted("admitting a message to a channel that does not exist")
             .into());
     };
     let ingress = world.ingress(peer);
@@ -172,7 +172,7 @@ impl World {
         parcel: &Parcel,
     ) -> Result<(), WireError> {
         let Some(route) = self.route(number) else {
-            return Err(self.faulted("a message is looked at for a channel that is not there"));
+            return Err(self.faulted("checking a message to a channel that does not exist"));
         };
         // Everything that decides; the content does not.
         let mut trial = Parcel {

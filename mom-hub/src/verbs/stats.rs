@@ -22,7 +22,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     let number = world.allowed(request)?;
     let Some(context) = world.tree.get(number) else {
         return Err(world
-            .faulted("a manager has allowed something where nothing is")
+            .faulted("a manager allowed a verb on a context that does not exist")
             .into());
     };
     let (kind, mut content) = (context.kind(), context.summary());
@@ -37,7 +37,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
             channels
         }
         ContextKind::Token => {
-            let text = format!("{} is a token, and only channels count", request.path);
+            let text = format!("{} is a token; only channels have statistics", request.path);
             return Err(WireError::new(Code::WRONG_KIND, text).slot("context").into());
         }
     };

@@ -13,7 +13,7 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     let number = world.find_token(request)?;
     world.allow(request, number)?;
     if !world.uninhibit(number, request.peer, Reason::Released.word(), out) {
-        let text = format!("this peer has no part in a shared hold of {}", request.path);
+        let text = format!("this peer does not inhibit {}", request.path);
         return Err(WireError::new(Code::NOT_OWNER, text).into());
     }
     request.push_ok(world, None, out);

@@ -47,7 +47,7 @@ pub(crate) fn on(
     };
     let Some(due) = questions.answer(world, args.consult, (given, request.peer), out) else {
         let text = format!(
-            "question {} is answered, over, or was never asked of this peer",
+            "question {} is no longer open, or was never asked of this peer",
             args.consult
         );
         return Err(WireError::new(Code::TOO_LATE, text)

@@ -14,7 +14,7 @@ use crate::{Audit, PeerId, Receivers, Record, Route, StopRecord, Ticket};
 pub enum Effect {
     /// Swap in the route of a channel: from here on it holds for what is sent there.
     Route(Arc<Route>),
-    /// A channel is no more.
+    /// A channel was deleted.
     RouteGone(ContextNumber),
     /// Give an event or a safe state to these peers: the control lane.
     Deliver {

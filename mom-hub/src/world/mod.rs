@@ -61,7 +61,7 @@ pub(crate) struct World {
     pub(crate) last_waiter: u64,
     /// Tokens whose queues are to be looked at, because something else than their own release may let a waiter have them.
     pub(crate) stirred: BTreeSet<ContextNumber>,
-    /// Waiting grabs whose turn it is, and about which somebody has to be asked: token and ticket.
+    /// Waiting grabs whose turn it is, and about which a peer has to be asked: token and ticket.
     pub(crate) to_ask: Vec<(ContextNumber, u64)>,
     /// Which devices are stopped.
     pub(crate) stops: Stops,
@@ -167,7 +167,7 @@ impl World {
     /// Sets the token's timer to its deadline as it is now.
     pub(crate) fn retime(&mut self, number: ContextNumber) {
         let Some(token) = self.tree.token_mut(number) else {
-            return self.fault("a timer is set for a token that is not there");
+            return self.fault("setting a timer for a token that does not exist");
         };
         let (old, new) = (token.timer, token.deadline());
         token.timer = new;

@@ -61,7 +61,7 @@ impl World {
             Some(peer) => {
                 peer.involved.insert(number);
             }
-            None => self.fault("a peer that is not there waits for a token"),
+            None => self.fault("queuing a peer that does not exist"),
         }
     }
 
@@ -74,7 +74,7 @@ impl World {
             Some(peer) => {
                 peer.involved.remove(&number);
             }
-            None => self.fault("a peer that is not there has waited for a token"),
+            None => self.fault("ending the wait of a peer that does not exist"),
         }
     }
 }

@@ -84,7 +84,7 @@ impl World {
     pub(crate) fn change_guarded_routes(&mut self, number: ContextNumber) {
         match self.tree.token(number) {
             Some(token) => self.changed.extend(&token.guarded),
-            None => self.fault("routes change for a token that is not there"),
+            None => self.fault("changing routes for a token that does not exist"),
         }
     }
 

@@ -156,7 +156,7 @@ impl Stops {
                 by: HUB.into(),
                 user: HUB.into(),
                 since,
-                reason: Some("what was stopped before the hub's start could not be read".into()),
+                reason: Some("the stops from before the hub's start could not be read".into()),
             })
         });
         let known = records.into_iter().map(|record| {

@@ -173,7 +173,7 @@ impl TellPace {
     }
 }
 
-/// Somebody has had others told of it too often.
+/// A user has had others told of it too often.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct TooOften {
     terms: Terms,
@@ -194,7 +194,7 @@ impl TooOften {
     fn refusal(self, user: &str, what: &str) -> WireError {
         let Terms { at_once, each } = self.terms;
         let text = format!(
-            "{user} {what} more than {at_once} times at once and once each {} ms, and others hear of each time",
+            "{user} {what} more than {at_once} times at once and once each {} ms; others are told each time",
             each / 1000
         );
         WireError::new(Code::TRY_LATER, text).retry_after(Duration::from_micros(self.wait))

@@ -272,7 +272,7 @@ fn who_is_asked_about_keeps_its_place() {
     );
 }
 
-/// What a chair said about a token before somebody else had it holds no more: it may stand elsewhere now.
+/// What a chair said about a token before it changed hands holds no more: it may stand elsewhere now.
 #[test]
 fn an_answer_holds_until_the_next_grant() {
     let mut stage = Stage::new(lab(moderated(&["grab"])));

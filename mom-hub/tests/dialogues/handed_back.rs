@@ -79,7 +79,7 @@ fn a_device_is_safe_before_its_channel_is_deleted() {
     );
 }
 
-/// Grants until ten seconds after the start, whoever it is.
+/// Grants until ten seconds after the start, to any peer.
 #[derive(Debug)]
 struct UntilTen;
 

@@ -227,7 +227,7 @@ fn who_is_in_many_contexts_goes_in_steps() {
     let count = |heard: &[String], word: &str| heard.iter().filter(|line| line.starts_with(word)).count();
     assert_eq!(count(&heard, "bob< released"), 20, "first all is safe: {heard:?}");
     assert!(count(&heard, "bob< left") < 200, "{heard:?}");
-    // The way is free for others at once, and whoever is on the way out may do nothing more.
+    // The way is free for others at once, and a leaving peer may do nothing more.
     let grabbed = stage.say("bob", "token grab /lab/hall/t7");
     assert!(
         grabbed.iter().any(|line| line.starts_with("bob< ok")),
@@ -281,7 +281,7 @@ fn whoever_puts_out_is_answered_at_the_end() {
     );
 }
 
-/// Whoever is cut off while it leaves is gone in the end, too, and its name is free again.
+/// A peer that is cut off while it leaves is gone in the end, too, and its name is free again.
 #[test]
 fn who_is_cut_off_on_its_way_out_is_gone() {
     let mut stage = lab(Limits::default());

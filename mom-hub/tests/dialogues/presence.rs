@@ -97,7 +97,7 @@ fn all_and_none_are_what_they_say() {
     assert_eq!(joins(&mut none, "a"), []);
 }
 
-/// As often as it may: whoever comes and goes all the time is counted, and nobody else.
+/// As often as it may: a user who comes and goes all the time is counted, and nobody else.
 #[test]
 fn who_comes_and_goes_again_and_again_is_counted_and_nobody_else() {
     let mut stage = stage("all");

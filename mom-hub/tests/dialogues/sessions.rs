@@ -321,7 +321,7 @@ fn channels_made_before_the_answer_are_stopped_too() {
     assert!(stage.at(1000).contains(&"alice< ok".to_owned()));
 }
 
-/// What a gateway has made goes with it; that it comes back is no reason to move.
+/// What a gateway has made goes with it; its return must not move a device.
 #[test]
 fn a_stop_of_a_session_is_for_devices_that_are_away_with_their_channels() {
     let mut stage = stage();
@@ -346,7 +346,7 @@ fn a_stop_of_a_session_is_for_devices_that_are_away_with_their_channels() {
     assert_eq!(
         channels[1].get("guard"),
         Some(&true.into()),
-        "somebody is meant to be there"
+        "a device is meant to be there"
     );
     for name in ["rover", "chat"] {
         stage.say("alice", &format!("context create /lab/{name} kind=channel"));

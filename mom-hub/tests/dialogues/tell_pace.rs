@@ -21,7 +21,7 @@ fn with_device(pace: Option<i64>) -> Stage {
     stage
 }
 
-/// How often of 150 times at once somebody may take the token.
+/// How often of 150 times at once a user may take the token.
 fn grabs(stage: &mut Stage, name: &str) -> usize {
     let mut grabbed = 0;
     for _ in 0..150 {
@@ -192,7 +192,7 @@ fn a_devices_token_that_goes_to_and_fro_is_counted_and_a_refusal_is_not() {
     assert!((150..=200).contains(&given), "{given} of 400");
 }
 
-/// It does not matter whether the token moves a device: whoever hears of it may be one elsewhere, or own something.
+/// It does not matter whether the token moves a device: a peer that is told may be one elsewhere, or own something.
 #[test]
 fn a_token_that_moves_nothing_is_counted_where_a_device_or_an_owner_hears_of_it() {
     let mut contexts = lab(Map::new());

@@ -79,7 +79,7 @@ fn round(hub: &mut Hub, peers: impl Iterator<Item = u64>) -> u64 {
             assert!(answer.is(Family::Error, "held"), "{answer:?}");
         }
     }
-    let (peer, fence) = winner.expect("somebody gets a free token");
+    let (peer, fence) = winner.expect("a peer gets a free token");
     let released = ask(hub, peer, Family::Token, "release", "/robot/token");
     assert!(released.is(Family::Reply, "ok"), "{released:?}");
     u64::try_from(fence).expect("a fence")

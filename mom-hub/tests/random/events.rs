@@ -74,7 +74,7 @@ impl Observer {
         safe
     }
 
-    /// Somebody owns a token; who may be told.
+    /// A peer owns a token; who may be told.
     fn grabbed(&mut self, to: &[PeerId], parcel: &Parcel, granted: &mut Vec<Granted>) -> Vec<String> {
         let path = parcel.context.clone().unwrap();
         let content = parcel.value();
@@ -89,7 +89,7 @@ impl Observer {
         also
     }
 
-    /// Somebody waits, or comes nearer; who may be told.
+    /// A peer waits, or comes nearer; who may be told.
     fn queued(&mut self, to: &[PeerId], parcel: &Parcel, input: Option<&Input>) -> Vec<String> {
         let path = parcel.context.clone().unwrap();
         let (peer, [name]) = (to[0], &self.tree.names(to)[..]) else {

@@ -124,7 +124,7 @@ impl Observer {
                 safe
             }
             Family::Manager => {
-                assert!(!to.is_empty(), "somebody is asked");
+                assert!(!to.is_empty(), "a peer is asked");
                 self.seen.note("consult");
                 self.asked_about(parcel, input);
                 None
@@ -140,7 +140,7 @@ impl Observer {
         }
     }
 
-    /// Somebody is asked about a grab, which may wait.
+    /// A peer is asked about a grab, which may wait.
     fn asked_about(&mut self, consult: &Parcel, input: Option<&Input>) {
         let content = consult.value();
         let word = |key: &str| content.get(key).and_then(Value::as_str).unwrap_or_default();
@@ -156,7 +156,7 @@ impl Observer {
         }
     }
 
-    /// A grant is being stored: to who is called from the queue, or to somebody by other ways.
+    /// A grant is being stored: to who is called from the queue, or to a peer by other ways.
     fn promise(&mut self, path: &Path, name: &str) {
         if !self.rules(path).is_some_and(|rules| rules.calm) {
             self.queues.promise(path, name);
@@ -214,7 +214,7 @@ impl Observer {
         }
     }
 
-    /// Notes who comes, and who is somebody else now.
+    /// Notes who comes, and who has another user now.
     fn meet(&mut self, input: Option<&Input>) {
         match input {
             Some(input @ (Input::Lost { .. } | Input::Resumed { .. } | Input::Gone { .. })) => {
@@ -230,7 +230,7 @@ impl Observer {
                     level: user.level,
                 };
                 let before = self.tree.people.insert(*peer, person);
-                // Somebody else has lost nothing.
+                // Another peer has lost nothing.
                 if before.as_ref().is_some_and(|before| before.user != user.name) {
                     self.links.lost.remove(peer);
                     self.robots.resume(*peer);

@@ -94,7 +94,7 @@ impl Manager for Chaired {
         // Nobody is asked about what cannot be granted now: it may wait.
         let token = question.token.unwrap_or_default();
         if question.verb == Verb::Grab && token.owner.is_some_and(|owner| !owner.asks) {
-            return Verdict::deny(Code::HELD, &*self.0, "somebody else has it");
+            return Verdict::deny(Code::HELD, &*self.0, "another peer has it");
         }
         match question.given(&self.0) {
             Some(given) if given.allow => Verdict {
@@ -133,7 +133,7 @@ impl Manager for Turns {
         }
         let denial = Denial {
             code: Code::HELD,
-            text: "somebody else's turn".to_owned(),
+            text: "another peer's turn".to_owned(),
             rule: "turns".to_owned(),
             earliest: token.lease_end,
         };

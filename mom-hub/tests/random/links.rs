@@ -166,7 +166,7 @@ impl Observer {
         rest
     }
 
-    /// The channels where somebody has to hear the safe state of these tokens.
+    /// The channels where members have to hear the safe state of these tokens.
     fn halted(&self, owned: &BTreeSet<Path>) -> impl Iterator<Item = ContextNumber> {
         let guarded = self.tree.routes.values().filter(|route| {
             let token = route.guard.as_ref().map(|guard| &guard.token);
@@ -289,7 +289,7 @@ impl Observer {
             }
         }
         assert!(refused.is_empty(), "refused without cause: {refused:?}");
-        assert!(due.is_subset(&consults), "somebody is asked anew: {effects:?}");
+        assert!(due.is_subset(&consults), "a peer is asked anew: {effects:?}");
     }
 
     /// Lists of members say who is lost, and for how long.
@@ -422,7 +422,7 @@ impl Observer {
     }
 }
 
-/// What is no news for anybody.
+/// What is reported to nobody.
 fn is_quiet(effect: &Effect) -> bool {
     matches!(effect, Effect::Route(_) | Effect::Audit(_))
 }

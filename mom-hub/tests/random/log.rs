@@ -126,7 +126,7 @@ impl Log {
         })
     }
 
-    /// Who does something in place of one that is lost: mostly somebody else, so that it stays lost for a while.
+    /// Who does something in place of one that is lost: mostly another peer, so that it stays lost for a while.
     fn awake(&self, step: &Step) -> usize {
         let may = matches!(step.act, Act::Gone | Act::Lost { .. }) || self.id.is_multiple_of(4);
         let awake = |seat: &usize| may || self.seats.get(seat).is_none_or(|place| !place.lost);

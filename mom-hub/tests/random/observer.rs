@@ -307,7 +307,7 @@ fn check_early(early: Option<Admitted>, late: Option<&Admitted>) {
     }
 }
 
-/// Whether somebody takes a token, by a request that waited for an answer until now, or has not come back in time and is
+/// Whether a peer takes a token, by a request that waited for an answer until now, or has not come back in time and is
 /// no member any more: that is nothing which the owner, or a route, could have known of before.
 fn taken_by_somebody(effect: &Effect) -> bool {
     if matches!(effect, Effect::Close { .. }) {

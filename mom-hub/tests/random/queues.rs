@@ -18,7 +18,7 @@ pub(crate) struct Waiter {
     level: i32,
     since: u64,
     place: usize,
-    /// Whether somebody was asked about it, who may be quicker about others.
+    /// Whether a peer was asked about it, which may be quicker about others.
     asked: bool,
 }
 
@@ -32,7 +32,7 @@ pub(crate) struct Queues {
     promised: BTreeMap<Path, String>,
     /// Tokens for which a peer waits twice, so that it is not known which of its grabs is meant.
     unclear: BTreeSet<Path>,
-    /// Tokens that are kept for somebody since a restart.
+    /// Tokens that are reserved since a restart.
     reserved: BTreeSet<Path>,
     /// Tokens whose order of waiting has changed while some waited.
     mixed: BTreeSet<Path>,
@@ -89,7 +89,7 @@ impl Queues {
             seen.note("waits behind others");
         }
         // Where one peer has two grabs on their way, the first of them waits and the other is refused; but not
-        // where somebody is asked about both.
+        // where a peer is asked about both.
         if told.ids.len() > 1 && !calm {
             self.unclear.insert(told.path.clone());
         }
@@ -148,7 +148,7 @@ impl Queues {
         }
     }
 
-    /// Somebody is asked about the grab of this peer, perhaps one that has just come (`new`); whether it has waited.
+    /// Others are asked about the grab of this peer, perhaps one that has just come (`new`); whether it has waited.
     pub(crate) fn asked_about(&mut self, path: &Path, name: &str, new: bool) -> bool {
         let queue = self.waiting.get_mut(path).into_iter().flatten();
         let Some(waiter) = queue.into_iter().find(|waiter| waiter.name == name) else {
@@ -162,7 +162,7 @@ impl Queues {
         !new
     }
 
-    /// Somebody was granted a token: whoever waits is not passed by.
+    /// A peer was granted a token: waiting peers are not passed by.
     pub(crate) fn granted(&self, path: &Path, name: &str, lost: Option<&Lost>) {
         let reason = lost.map(|lost| &*lost.reason);
         let goes_back = lost.is_some_and(|lost| {
@@ -181,7 +181,7 @@ impl Queues {
         );
     }
 
-    /// Whether somebody waits.
+    /// Whether a peer waits.
     pub(crate) fn waits(&self, path: &Path) -> bool {
         self.waiting.get(path).is_some_and(|queue| !queue.is_empty())
     }

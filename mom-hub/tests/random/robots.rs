@@ -75,7 +75,7 @@ enum Item {
         /// What passes from then on.
         open: Option<(u64, u64)>,
     },
-    /// The channel is no more.
+    /// The channel was deleted.
     Gone {
         number: ContextNumber,
     },

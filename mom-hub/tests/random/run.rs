@@ -84,7 +84,7 @@ impl Run {
     }
 
     fn settle(&mut self, now: &mut u64) {
-        // Each turn may begin another one, as long as somebody waits.
+        // Each turn may begin another one, as long as a peer waits.
         for _ in 0..1000 {
             while let Some((ticket, ok)) = self.observer.disk.answer(usize::MAX) {
                 self.give(*now, &Input::Stored { ticket, ok });

@@ -51,7 +51,7 @@ pub(crate) enum Act {
     Lost {
         grace: u64,
     },
-    /// Somebody who is lost comes back, or nobody does.
+    /// A lost peer comes back, or none does.
     Resumed,
     Ask {
         family: Family,
@@ -148,7 +148,7 @@ fn step() -> impl Strategy<Value = Step> {
     )
 }
 
-/// What single steps seldom come to: somebody drives, and who has asked for the token is lost before the owner says yes; or
+/// What single steps seldom come to: a peer drives, and who has asked for the token is lost before the owner says yes; or
 /// the driver is lost while its messages wait for an answer; or who lent the token is lost before it comes back.
 fn scene() -> impl Strategy<Value = Vec<Step>> {
     let places = select(vec![
@@ -239,7 +239,7 @@ impl Script {
     }
 }
 
-/// As few words as can be, because somebody has to read the shortest log that fails.
+/// As few words as can be, because a person has to read the shortest log that fails.
 impl fmt::Debug for Script {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(out, "crowded: {}", self.crowded)?;

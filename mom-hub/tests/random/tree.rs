@@ -33,7 +33,7 @@ pub(crate) struct Tree {
     before: Members,
     after: Members,
     pub(crate) people: BTreeMap<PeerId, Person>,
-    /// Who has become somebody else in this step, and who it was.
+    /// Who has got another user in this step, and who it was.
     pub(crate) former: Option<(PeerId, String)>,
     /// While true nobody asks who is where.
     pub(crate) blind: bool,
@@ -134,7 +134,7 @@ impl Tree {
 
     /// That receivers are members of a context before or after the step, or among those.
     pub(crate) fn check_receivers(&self, to: &[PeerId], path: &Path, also: &[String]) {
-        assert!(!to.is_empty(), "given to somebody");
+        assert!(!to.is_empty(), "given to a peer");
         if self.blind {
             return;
         }

@@ -11,7 +11,7 @@ use zstd::stream::raw::{CParameter, Encoder, Operation as _};
 
 use crate::socket::WriteHalf;
 
-/// Taken from a writer in one turn, which takes about 0.1 ms: what has been taken cannot be overtaken, and whoever
+/// Taken from a writer in one turn, which takes about 0.1 ms: what has been taken cannot be overtaken, and a task that
 /// compresses more gives way to others first.
 const TURN: usize = 16 * 1024;
 
@@ -33,7 +33,7 @@ struct State {
     engine: Engine,
     /// What the network has not taken yet.
     out: BytesMut,
-    /// The last byte that was taken is not told yet, since the network has not taken all that was made of it: whoever
+    /// The last byte that was taken is not told yet, since the network has not taken all that was made of it: a task that
     /// writes comes back for that byte, and so the rest is sent.
     owed: bool,
     /// Nothing was taken yet.

@@ -355,7 +355,7 @@ fn streams_of_nothing_are_opened_a_few_at_a_time() {
     }
 }
 
-/// A large message is compressed a turn at a time, so that whoever else is served in this thread waits for one of them at most.
+/// A large message is compressed a turn at a time, so that others served in this thread wait for one of them at most.
 #[tokio::test]
 async fn whoever_compresses_much_gives_way_between_turns() {
     for way in STREAMS {

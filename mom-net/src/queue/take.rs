@@ -14,7 +14,7 @@ use super::piece::{Entry, Piece, Progress};
 use super::{DropPolicy, DropReason, Item, Lane, Rest, SendQueue, reliable};
 use crate::{Allowance, Part};
 
-/// Taken at once: more than a system call gathers is no faster, and what is taken cannot be overtaken any more.
+/// Taken at once: more than a system call gathers is not faster, and what is taken cannot be overtaken any more.
 const BATCH_PIECES: usize = 256;
 const BATCH_BYTES: usize = 256 * 1024;
 

@@ -105,7 +105,7 @@ pub(crate) struct TlsLink {
 #[derive(Debug)]
 struct State {
     tls: Connection,
-    /// The last byte that was taken is not told yet: the network has not taken all that was made of it. Whoever
+    /// The last byte that was taken is not told yet: the network has not taken all that was made of it. A caller that
     /// writes comes back for that byte, and so the rest is sent.
     owed: bool,
     /// Bytes given to the network, and bytes taken to be encrypted.

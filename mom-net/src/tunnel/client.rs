@@ -100,7 +100,7 @@ pub async fn post(
 pub async fn ask(tls: Option<&ClientTls>, request: Request<Bytes>) -> Result<Response<Bytes>, NetError> {
     let url = request.uri();
     let host = url.host().ok_or_else(|| {
-        let text = format!("{url} names no host: write http://HOST:PORT or https://HOST:PORT");
+        let text = format!("{url} has no host: write http://HOST:PORT or https://HOST:PORT");
         io::Error::new(io::ErrorKind::InvalidInput, text)
     })?;
     let host = host.trim_start_matches('[').trim_end_matches(']');

@@ -241,7 +241,7 @@ impl Pipe {
         true
     }
 
-    /// Bytes from this place on, `most` at most, once there are any; none at the end, and where the place is no more.
+    /// Bytes from this place on, `most` at most, once there are any; none at the end, and where the place is gone.
     pub(super) async fn bytes_from(&self, from: u64, most: usize) -> Option<Bytes> {
         self.until(&self.sendable, |state| {
             let Some(skipped) = from.checked_sub(state.kept_from) else {

@@ -116,7 +116,7 @@ impl Tunnels {
     /// Waits a moment until the peer has heard all that was said, and forgets the tunnel.
     pub async fn close(&self, tunnel: &Tunnel) {
         tunnel.pipe.finish();
-        // Whoever does not come for it does without.
+        // A client that does not come for it does without.
         let _ = timeout(FAREWELL, tunnel.pipe.drained()).await;
         self.forget(tunnel);
         tunnel.pipe.break_off("the tunnel is closed");
@@ -172,7 +172,7 @@ impl Tunnels {
         B: Body<Data = Bytes>,
         B::Error: Into<Box<dyn std::error::Error + Send + Sync>>,
     {
-        // Whoever waits for bytes comes by the old id until the new one is known.
+        // A client that waits for bytes comes by the old id until the new one is known.
         if *request.method() != Method::POST {
             return None;
         }

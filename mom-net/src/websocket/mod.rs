@@ -59,7 +59,7 @@ struct State {
     first: BytesMut,
     /// What the network has not taken yet of frames that were begun, and answers to pings.
     out: BytesMut,
-    /// The last byte that was taken is not told yet, since the network has not taken all that was made of it: whoever
+    /// The last byte that was taken is not told yet, since the network has not taken all that was made of it: a task that
     /// writes comes back for that byte, and so the rest is sent.
     owed: bool,
     /// A text message was begun and has no end yet.

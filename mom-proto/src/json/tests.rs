@@ -87,7 +87,7 @@ proptest! {
         prop_assert_eq!(read_back(&parcel), Frame::Parcel(Box::new(parcel)));
     }
 
-    /// Whoever passes a parcel on from one form into another changes nothing.
+    /// Passing a parcel on from one form into another changes nothing.
     #[test]
     fn every_parcel_goes_through_all_forms(parcel in arbitrary::parcel()) {
         for forms in [[Form::Json, Form::Xml], [Form::Json, Form::Binary], [Form::Binary, Form::Json], [Form::Xml, Form::Json]] {

@@ -216,7 +216,7 @@ impl JsonWriter {
                 write!(self.out, "{number:?}").map_err(|error| not_encodable(error.to_string()))?;
             }
             Item::Double(number) => {
-                return Err(not_encodable(format!("a double has to be finite, not {number}")));
+                return Err(not_encodable(format!("a double must be finite, not {number}")));
             }
             Item::Text(text) => self.text(text)?,
             Item::Time(time) => {
@@ -284,7 +284,7 @@ impl JsonWriter {
                 _ => {
                     let c = text[special..].chars().next().unwrap_or_default();
                     return Err(not_encodable(format!(
-                        "the character {c:?} may not stand in a string"
+                        "the character {c:?} is not allowed in a string"
                     )));
                 }
             };

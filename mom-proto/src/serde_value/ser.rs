@@ -155,7 +155,7 @@ impl Serializer for ValueSerializer {
         match number.is_finite() {
             true => Ok(Value::Double(number)),
             false => Err(SerdeError::not_encodable(format!(
-                "a double has to be finite, not {number}"
+                "a double must be finite, not {number}"
             ))),
         }
     }
@@ -439,7 +439,7 @@ fn check_text(text: &str) -> Result<(), SerdeError> {
     match xml_violation(text).and_then(|position| text[position..].chars().next()) {
         None => Ok(()),
         Some(c) => Err(SerdeError::not_encodable(format!(
-            "character {c:?} may not stand in a string; send it as binary"
+            "character {c:?} is not allowed in a string; send it as binary"
         ))),
     }
 }

@@ -318,7 +318,7 @@ fn what_does_not_fit_is_told_with_its_place() {
     );
     unfit::<Shape>(one("line", list([1.into(), "a".into()])), "content/line/1", "i32");
     unfit::<Shape>(one("box", Map::new()), "content/box/width", "missing");
-    unfit::<Value>(one("a", "\0"), "content/a", "may not stand in a string");
+    unfit::<Value>(one("a", "\0"), "content/a", "is not allowed in a string");
     unfit::<Value>(one("a", Value::Double(f64::NAN)), "content/a", "a finite double");
     let blocks = [one("x", 1), one("x", 2), one("x", "a")];
     unfit::<Scene>(one("blocks", list(blocks)), "content/blocks/2/x", "string \"a\"");

@@ -126,7 +126,7 @@ impl Walk<'_> {
                     position: start,
                 }),
                 Entry::Occupied(entry) => {
-                    return Err(bad_cid(entry.key(), "stands at two parts").position(start));
+                    return Err(bad_cid(entry.key(), "is on two parts").position(start));
                 }
             };
         }
@@ -185,7 +185,7 @@ impl Walk<'_> {
             // RFC 2046: a line that begins with the boundary is one, whatever follows.
             _ => Err(bad(
                 self.position,
-                "the boundary stands inside a part, or its line goes on",
+                "the boundary occurs inside a part, or its line continues",
             )),
         }
     }

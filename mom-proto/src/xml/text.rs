@@ -34,7 +34,7 @@ pub(super) fn unescape(raw: &str, base: usize, place: TextKind) -> Result<Cow<'_
                 copied = at + length;
             }
             (b'>', TextKind::Element) if raw[..at].ends_with("]]") => {
-                return Err(bad(base + at - 2, "]]> may not stand in text"));
+                return Err(bad(base + at - 2, "]]> is not allowed in text"));
             }
             (b'>', _) => out.push('>'),
             (b'\r', _) if bytes.get(at + 1) == Some(&b'\n') => {}

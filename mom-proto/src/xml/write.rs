@@ -216,7 +216,7 @@ impl XmlWriter {
                 write!(self.out, "{number:?}").map_err(|error| not_encodable(error.to_string()))?;
             }
             Item::Double(number) => {
-                return Err(not_encodable(format!("a double has to be finite, not {number}")));
+                return Err(not_encodable(format!("a double must be finite, not {number}")));
             }
             Item::Text(text) => {
                 if !self.open(name, key, ValueKind::String, text.len())? {

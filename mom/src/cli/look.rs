@@ -43,7 +43,7 @@ pub(crate) struct LogsArgs {
 }
 
 pub(super) const LOGS: &str = "\
-Whoever may join the channel may read it. Reports come from anybody who reaches the hub over HTTP, without a login:
+Peers that may join the channel may read it. Reports come from anyone who reaches the hub over HTTP, without a login:
 what they say of themselves is not checked, but the address is.
 
 Examples:

@@ -22,7 +22,10 @@ pub(crate) async fn run(args: &cli::BreakArgs, global: &GlobalArgs, output: Outp
                 let had: Vec<String> = had.iter().map(|peer| words::visible(peer)).collect();
                 let who = had.join(", ");
                 let verb = if had.len() == 1 { "has" } else { "have" };
-                ink(format_args!("broke {path}: {who} {verb} it no more"), Tone::Good)
+                ink(
+                    format_args!("broke {path}: {who} no longer {verb} it"),
+                    Tone::Good,
+                )
             }
         },
     )?;

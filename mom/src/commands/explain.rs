@@ -141,7 +141,7 @@ fn rule(answer: &Value) -> String {
             "the manager {} as a whole",
             text(answer, "manager").unwrap_or_default()
         ),
-        (None, false) => "the hub itself, whatever managers say".to_owned(),
+        (None, false) => "the hub itself, regardless of managers".to_owned(),
     }
 }
 

@@ -17,7 +17,7 @@ pub(crate) async fn run(args: &cli::GiveArgs, global: &GlobalArgs, output: Outpu
     let mut interrupt = Interrupt::install()?;
     let path = &args.path;
     let token = client.token(path).await.doing(format!("join {path}"))?;
-    // Whoever drives is not interrupted for somebody who is not there.
+    // The owner is not interrupted for a peer that is not there.
     let result = match look_for(&client, &token, &args.peer).await {
         Ok(()) => give(args, &token, &mut interrupt, output).await,
         absent => absent,

@@ -77,7 +77,7 @@ fn not_stopped(path: &str, error: ClientError) -> Failure {
     let unknown = is_unknown(&error);
     let failure = failed(Order::Stop, path, error);
     match unknown {
-        true => failure.with("nobody knows whether anything has stopped"),
+        true => failure.with("it is unknown whether anything has stopped"),
         false => failure,
     }
 }

@@ -37,7 +37,7 @@ enum Known {
     Exactly,
     /// To so many µs.
     Within(u64),
-    /// The clock of whoever stamped it is not known: it was this time or earlier.
+    /// The clock of its sender is not known: it was this time or earlier.
     AtTheLatest,
 }
 

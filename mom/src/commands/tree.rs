@@ -185,7 +185,7 @@ fn owner(facts: &Map) -> String {
         text.push_str(&format!(" (level {level})"));
     }
     match words::millis(facts.get("lease-left")) {
-        Some(left) if left.is_zero() => text.push_str(", its lease is over"),
+        Some(left) if left.is_zero() => text.push_str(", lease expired"),
         Some(left) => text.push_str(&format!(", {} of its lease left", words::duration(left))),
         None => {}
     }

@@ -71,7 +71,7 @@ pub(crate) struct Target {
     pub(crate) host: String,
     /// The port of all doors.
     pub(crate) port: u16,
-    /// The certificate that it has to show, whoever signed it.
+    /// The certificate that it has to show, regardless of its issuer.
     pub(crate) pin: Option<Fingerprint>,
 }
 

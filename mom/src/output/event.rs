@@ -139,7 +139,7 @@ fn released(owner: &str, reason: &str, by: Option<String>, path: impl Display) -
         ("given", Some(by)) => format!("{owner} gave {path} to {by}"),
         ("returned", _) => format!("{path} goes back from {owner} to who gave it"),
         ("broken", Some(by)) => format!("{by} took {path} away from {owner}"),
-        ("revoked", _) => format!("{owner} lost {path}: it may be there no more"),
+        ("revoked", _) => format!("{owner} lost {path}: it may no longer be there"),
         (reason, Some(by)) => format!("{owner} lost {path} to {by}: {}", words::visible(reason)),
         (reason, None) => format!("{owner} lost {path}: {}", words::visible(reason)),
     }
@@ -306,7 +306,7 @@ mod tests {
             (
                 "revoked",
                 None,
-                "alice lost /robot/token: it may be there no more",
+                "alice lost /robot/token: it may no longer be there",
             ),
         ] {
             assert_eq!(

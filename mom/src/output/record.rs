@@ -20,7 +20,7 @@ pub(crate) struct OutputRecord {
 
 #[derive(Debug)]
 enum What {
-    /// Somebody said something.
+    /// A peer said something.
     Message {
         sender: String,
         address: Option<String>,

@@ -100,7 +100,7 @@ pub(crate) fn measured(time: Duration) -> String {
 
 /// `stopped by bob (smoke)`
 pub(crate) fn stopped_by(stop: &StopState) -> String {
-    let by = visible(stop.by.as_deref().unwrap_or("somebody"));
+    let by = visible(stop.by.as_deref().unwrap_or("a peer"));
     match &stop.reason {
         Some(reason) => format!("stopped by {by} ({})", visible(reason)),
         None => format!("stopped by {by}"),

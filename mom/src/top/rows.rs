@@ -57,7 +57,7 @@ impl Column {
         matches!(self, Silent | RoundTrip | Queue | Dropped)
     }
 
-    /// Whoever has most of a number comes first, words are in their own order.
+    /// The peer with the most of a number comes first, words are in their own order.
     fn compare(self, one: &Row<'_>, other: &Row<'_>) -> Ordering {
         let (a, b) = (one.peer, other.peer);
         match self {

@@ -52,7 +52,7 @@ impl Sample {
         self.stats.peers.len() as u64 + self.stats.more_peers
     }
 
-    /// What happened since an earlier answer. Whoever came or went meanwhile is left out: its counts are not known at both ends.
+    /// What happened since an earlier answer. Peers that came or went meanwhile are left out: their counts are not known at both ends.
     pub(super) fn rates_since(&self, before: &Sample) -> Rates {
         let time = self.at.duration_since(before.at).max(Duration::from_millis(1));
         let rate = |count: u64| count as f64 / time.as_secs_f64();

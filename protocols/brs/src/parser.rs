@@ -39,13 +39,13 @@ const STOP: &[u8] = b"06 00000 00000";
 ///    them is [`skipped`](Faults::skipped), and further bytes, up to the next *plausible code*. Its place
 ///    - does not follow a digit or `-`, as that may be the middle of a number;
 ///    - does not follow a space, if the code has no parameters, as `00` may be the beginning of `00100`;
-///    - holds a code that somebody says in this direction, with all its parameters.
+///    - holds a code that is sent in this direction, with all its parameters.
 ///
 ///    So a MOTOR is read only from 14 bytes that are exactly one, never from pieces of others' parameters. Line ends and words
 ///    between frames harm none of them, so that a person can type commands. One frame is plausible at any place, also after a
 ///    digit: a stop, `06 00000 00000`. A frame with one digit too many must not hide the stops behind it, and to stand by
 ///    mistake harms nobody.
-/// 3. **Silence.** The bytes do not say that a sender died within a frame. Whoever owns the clock calls
+/// 3. **Silence.** The bytes do not say that a sender died within a frame. The owner of the clock calls
 ///    [`idle`](Parser::idle) when nothing has come for [`SILENCE`], whenever the parser [is amid something](Parser::is_amid): what
 ///    is half read is dropped and skipped, and the next byte is at the place of a code.
 /// 4. **Value out of range.** It becomes the nearest that the parameter can have, is [counted](Faults::clamped), and the frame

@@ -78,7 +78,8 @@ fn a_file_that_is_no_toml_is_refused_at_its_place() {
 
 #[test]
 fn an_unknown_key_is_refused_with_the_nearest_known() {
-    let words = "there is no key `replies`; there are `code`, `name`, `parameters`, `reply`, `reply-only`";
+    let words =
+        "there is no key `replies`; expected one of `code`, `name`, `parameters`, `reply`, `reply-only`";
     check(&beep("replies = []\n"), FileFault::UnknownKey, (4, 1), words);
     let words = "there is no key `reply_only`; did you mean `reply-only`?";
     check(&beep("reply_only = true\n"), FileFault::UnknownKey, (4, 1), words);
@@ -105,29 +106,29 @@ fn a_value_of_another_type_is_refused() {
         (
             "command = 1\n",
             (1, 11),
-            "a list of tables is expected here, and this is an integer: write `[[command]]`",
+            "expected a list of tables, found an integer: write `[[command]]`",
         ),
         (
             "command = [1]\n",
             (1, 12),
-            "a table is expected here, and this is an integer: write `[[command]]`",
+            "expected a table, found an integer: write `[[command]]`",
         ),
         (
             "[[command]]\ncode = \"20\"\nname = \"x\"\n",
             (2, 8),
-            "an integer is expected here, and this is a text",
+            "expected an integer, found a text",
         ),
         (
             "[[command]]\ncode = 20\nname = 5\n",
             (3, 8),
-            "a text is expected here, and this is an integer",
+            "expected a text, found an integer",
         ),
     ] {
         check(text, FileFault::Type, place, words);
     }
-    let words = "true or false is expected here, and this is an integer";
+    let words = "expected true or false, found an integer";
     check(&beep("reply-only = 1\n"), FileFault::Type, (4, 14), words);
-    let words = "a list of tables is expected here, and this is a text";
+    let words = "expected a list of tables, found a text";
     check(&beep("reply = \"x\"\n"), FileFault::Type, (4, 9), words);
 }
 

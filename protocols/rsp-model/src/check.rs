@@ -137,7 +137,7 @@ fn watchdog(root: &Section, period: u16) -> Result<u16, Found> {
     match root.get("watchdog") {
         Some(item) if watchdog != 0 && watchdog < period.saturating_mul(2) => {
             let words = format!(
-                "a watchdog of {watchdog} ms ends the session at one lost packet: it is 0 for none, or at least two periods, {} ms",
+                "a watchdog of {watchdog} ms ends the session at one lost packet: set 0 for none, or at least two periods, {} ms",
                 period.saturating_mul(2)
             );
             Err(Found::new(Fault::Number, &item.span, words))
@@ -181,7 +181,10 @@ fn element(section: &Section, before: &[Draft]) -> Result<Draft, Found> {
     {
         let words = match other.name.value == name.value {
             true => format!("two elements have the name `{}`", name.value),
-            false => format!("`{}` and `{}` are the same in code", name.value, other.name.value),
+            false => format!(
+                "`{}` and `{}` have the same name in generated code",
+                name.value, other.name.value
+            ),
         };
         return Err(Found::new(Fault::NameTwice, &name.span, words));
     }
@@ -263,8 +266,8 @@ fn no_keys_of_numbers(keys: &Section, payload: Payload) -> Result<(), Found> {
         return Ok(());
     };
     let words = match payload {
-        Payload::Bytes(_) => format!("`{key}` is of numbers, and bytes are none"),
-        _ => format!("`{key}` is of numbers, and without a `type` there are none"),
+        Payload::Bytes(_) => format!("`{key}` applies to numbers, not to bytes"),
+        _ => format!("`{key}` requires a `type` of numbers"),
     };
     Err(Found::new(Fault::NotOfKind, span, words))
 }
@@ -286,7 +289,7 @@ fn payload(keys: &Section, kind: Kind) -> Result<Payload, Found> {
         (None, _) => {
             return match of_bytes(keys) {
                 Some((key, span)) => {
-                    let words = format!("`{key}` is of `type = \"bytes\"`, and there is no `type`");
+                    let words = format!("`{key}` requires `type = \"bytes\"`");
                     Err(Found::new(Fault::NotOfKind, span, words))
                 }
                 None => Ok(Payload::Nothing),
@@ -321,7 +324,7 @@ fn sound(keys: &Section, payload: Payload) -> Result<Option<Sound>, Found> {
     let found = |fault: Fault, words: String| Err(Found::new(fault, &item.span, words));
     let Some((word, rate)) = text.split_once(' ') else {
         let words = format!(
-            "a sound is a codec and its samples a second, such as `pcm 16000`, and not `{}`",
+            "a sound must be a codec and its samples per second, such as `pcm 16000`, not `{}`",
             quoted(text)
         );
         return found(Fault::UnknownWord, words);
@@ -346,7 +349,7 @@ fn sound(keys: &Section, payload: Payload) -> Result<Option<Sound>, Found> {
     let sound = Sound { codec, rate };
     if sound.block() > usize::from(most) {
         let words = format!(
-            "20 ms of it have up to {} bytes, and `max` is {most}",
+            "20 ms of it take up to {} bytes, and `max` is {most}",
             sound.block()
         );
         return found(Fault::Number, words);
@@ -372,7 +375,7 @@ fn numbers(keys: &Section, element: &mut ModelElement, of: Number, count: u16) -
     element.motion = match incremental {
         true if interpolate => {
             let span = keys.key_span("interpolate").unwrap_or(&keys.span);
-            let words = "steps that add up are not interpolated: leave `interpolate` out, or `motion`";
+            let words = "incremental steps cannot be interpolated: leave out `interpolate` or `motion`";
             return Err(Found::new(Fault::NotOfKind, span, words));
         }
         true => Motion::Incremental { rate },
@@ -403,7 +406,7 @@ fn wire_rate(keys: &Section, element: &ModelElement) -> Result<Option<f32>, Foun
     )]
     let wire = (rate / scale) as f32;
     if !wire.is_normal() || wire < 0.0 {
-        let words = format!("a rate is a change in units a second, more than 0, and {rate} is none");
+        let words = format!("a rate is in units per second and must exceed 0, not {rate}");
         return Err(Found::new(Fault::Number, span, words));
     }
     Ok(Some(wire))
@@ -426,7 +429,7 @@ fn monitors(drafts: &[Draft]) -> Result<Vec<Monitored>, Found> {
         let element = &effector.element;
         if element.kind != Kind::Effector {
             let words = format!(
-                "a monitor tells the states of an effector, and `{}` is of kind {}",
+                "a monitor reports the states of an effector, and `{}` is of kind {}",
                 of.value,
                 kind_word(element.kind)
             );
@@ -457,7 +460,7 @@ fn modules(drafts: &[Draft]) -> Result<Vec<Option<u8>>, Found> {
             };
             let words = if found.element.kind == Kind::Module {
                 format!(
-                    "`{}` is a module, and modules have no modules as members",
+                    "`{}` is a module, and a module cannot contain modules",
                     member.value
                 )
             } else if *module == Some(place) {
@@ -486,9 +489,9 @@ fn lookup<'d>(
     found.ok_or_else(|| {
         let few = candidates.get(..8).unwrap_or(candidates);
         let words = match unknown(what, &name.value, candidates) {
-            // So many names help nobody.
+            // A longer list does not help.
             long if long.len() > 400 => format!(
-                "there is no {what} `{}`; there are `{}` and others",
+                "there is no {what} `{}`; expected one of `{}` and others",
                 quoted(&name.value),
                 few.join("`, `")
             ),

@@ -35,11 +35,7 @@ pub(crate) fn integer(
 pub(crate) fn number(item: &At<Item>) -> Result<f64, Found> {
     let number = item.number()?;
     if !number.is_finite() {
-        return Err(Found::new(
-            Fault::Number,
-            &item.span,
-            "a finite number is expected here",
-        ));
+        return Err(Found::new(Fault::Number, &item.span, "expected a finite number"));
     }
     // There is one zero.
     Ok(number + 0.0)

@@ -126,7 +126,7 @@ fn said<T>(
 fn as_many<T>(values: &[T], key: &str, count: u16, item: &At<Item>) -> Result<(), Found> {
     if values.len() != usize::from(count) {
         let words = format!(
-            "`{key}` has {} values for {count} numbers: say it once for all, or once for each",
+            "`{key}` has {} values for {count} numbers: give it once for all, or once for each",
             values.len()
         );
         return Err(Found::new(Fault::Count, &item.span, words));
@@ -199,7 +199,7 @@ fn ranges(keys: &Section, count: u16) -> Result<Option<Said<Range>>, Found> {
 
 fn within((item, min, max): &Range, of: Number, scale: f64) -> Result<(f64, f64), Found> {
     if min > max {
-        let words = format!("the range is upside down: {min} is more than {max}; the least value goes first");
+        let words = format!("the range is reversed: {min} is more than {max}; the least value goes first");
         return Err(Found::new(Fault::Range, &item.span, words));
     }
     let (lowest, highest) = bounds(of);
@@ -230,7 +230,7 @@ fn safe_value(
         None => (0.0, &keys.span),
     };
     if incremental && value != 0.0 {
-        let words = format!("the safe step of an incremental effector is 0, where it stays, and not {value}");
+        let words = format!("the safe step of an incremental effector must be 0, not {value}");
         return Err(Found::new(Fault::Safe, span, words));
     }
     if value < quantity.min || value > quantity.max {
@@ -240,7 +240,7 @@ fn safe_value(
                 quantity.min, quantity.max
             ),
             None => format!(
-                "0 is outside the range, {} to {}, so `safe` has to say what is safe",
+                "0 is outside the range, {} to {}, so `safe` is required",
                 quantity.min, quantity.max
             ),
         };
@@ -262,7 +262,7 @@ fn parts(keys: &Section, count: u16) -> Result<Option<Vec<String>>, Found> {
         let name = word(value)?;
         if !known.insert(in_code(&name.value)) {
             let words = format!(
-                "two parts have the name `{}`, or one that is the same in code",
+                "two parts have the name `{}`, or one that is the same in generated code",
                 name.value
             );
             return Err(Found::new(Fault::NameTwice, &name.span, words));

@@ -73,7 +73,7 @@ fn unknown_keys_and_words_are_refused_with_the_nearest_known() {
         "kind = \"motor\"",
         Fault::UnknownWord,
         (5, 8),
-        "there is no kind of element `motor`; there are `effector`, `sensor`, `monitor`, `command`, `module`, `event`, `memory-command`, `memory-event`",
+        "there is no kind of element `motor`; expected one of `effector`, `sensor`, `monitor`, `command`, `module`, `event`, `memory-command`, `memory-event`",
     );
     in_element(
         "kind = \"sensor\"\ntype = \"ui16\"",
@@ -85,7 +85,7 @@ fn unknown_keys_and_words_are_refused_with_the_nearest_known() {
         "kind = \"sensor\"\ntype = \"double\"",
         Fault::UnknownWord,
         (6, 8),
-        "there is no type `double`; there are `u8`, `i8`, `u16`, `i16`, `u32`, `i32`, `f32`, `bytes`",
+        "there is no type `double`; expected one of `u8`, `i8`, `u16`, `i16`, `u32`, `i32`, `f32`, `bytes`",
     );
     in_effector(
         "motion = \"absolut\"",
@@ -130,30 +130,26 @@ fn what_is_missing_is_named() {
 #[test]
 fn values_of_another_type_are_refused() {
     for (text, place, words) in [
-        (
-            "name = 1\n",
-            (1, 8),
-            "a text is expected here, and this is an integer",
-        ),
+        ("name = 1\n", (1, 8), "expected a text, found an integer"),
         (
             "name = \"x\"\nid = \"1\"\n",
             (2, 6),
-            "an integer is expected here, and this is a text",
+            "expected an integer, found a text",
         ),
         (
             "name = \"x\"\nid = 1.5\n",
             (2, 6),
-            "an integer is expected here, and this is a number with a fraction",
+            "expected an integer, found a number with a fraction",
         ),
         (
             "element = 1\n",
             (1, 11),
-            "a list of tables is expected here, and this is an integer: write `[[element]]`",
+            "expected a list of tables, found an integer: write `[[element]]`",
         ),
         (
             "element = [1]\n",
             (1, 12),
-            "a table is expected here, and this is an integer: write `[[element]]`",
+            "expected a table, found an integer: write `[[element]]`",
         ),
     ] {
         check(text, Fault::Type, place, words);
@@ -162,19 +158,19 @@ fn values_of_another_type_are_refused() {
         "interpolate = 1",
         Fault::Type,
         15,
-        "true or false is expected here, and this is an integer",
+        "expected true or false, found an integer",
     );
     in_effector(
         "range = 5",
         Fault::Type,
         9,
-        "a list of two numbers is expected here, and this is an integer",
+        "expected a list of two numbers, found an integer",
     );
     in_effector(
         "safe = 2020-01-01",
         Fault::Type,
         8,
-        "a number is expected here, and this is a date",
+        "expected a number, found a date",
     );
 }
 
@@ -196,7 +192,7 @@ fn numbers_outside_what_is_possible_are_refused() {
         "name = \"x\"\nid = 1\nwatchdog = 39\n",
         Fault::Number,
         (3, 12),
-        "a watchdog of 39 ms ends the session at one lost packet: it is 0 for none, or at least two periods, 40 ms",
+        "a watchdog of 39 ms ends the session at one lost packet: set 0 for none, or at least two periods, 40 ms",
     );
     check(
         "name = \"x\"\nid = 1\nlargest-packet = 70_000\n",
@@ -216,17 +212,12 @@ fn numbers_outside_what_is_possible_are_refused() {
         9,
         "a scale is 1e-12 to 1e12, and 0 is not: the value in the unit is the wire's times it",
     );
-    in_effector(
-        "scale = nan",
-        Fault::Number,
-        9,
-        "a finite number is expected here",
-    );
+    in_effector("scale = nan", Fault::Number, 9, "expected a finite number");
     in_effector(
         "rate = -1",
         Fault::Number,
         8,
-        "a rate is a change in units a second, more than 0, and -1 is none",
+        "a rate is in units per second and must exceed 0, not -1",
     );
     in_effector(
         "rate = 1\ncount = 2\nscale = [1, 2]",
@@ -286,13 +277,13 @@ fn two_elements_of_one_name_are_refused() {
         &second("whe-el"),
         Fault::NameTwice,
         (7, 8),
-        "`whe-el` and `wheel` are the same in code",
+        "`whe-el` and `wheel` have the same name in generated code",
     );
     in_effector(
         "parts = [\"x\", \"y\", \"x\"]",
         Fault::NameTwice,
         20,
-        "two parts have the name `x`, or one that is the same in code",
+        "two parts have the name `x`, or one that is the same in generated code",
     );
 }
 
@@ -302,7 +293,7 @@ fn ranges_and_safe_values_are_checked() {
         "range = [5, -5]",
         Fault::Range,
         9,
-        "the range is upside down: 5 is more than -5; the least value goes first",
+        "the range is reversed: 5 is more than -5; the least value goes first",
     );
     in_effector(
         "range = [0, 40000]",
@@ -314,7 +305,7 @@ fn ranges_and_safe_values_are_checked() {
         "range = [1, 5]",
         Fault::Safe,
         0,
-        "0 is outside the range, 1 to 5, so `safe` has to say what is safe",
+        "0 is outside the range, 1 to 5, so `safe` is required",
     );
     in_effector(
         "safe = 6\nrange = [1, 5]",
@@ -326,13 +317,13 @@ fn ranges_and_safe_values_are_checked() {
         "safe = 6\nmotion = \"incremental\"",
         Fault::Safe,
         8,
-        "the safe step of an incremental effector is 0, where it stays, and not 6",
+        "the safe step of an incremental effector must be 0, not 6",
     );
     in_effector(
         "range = [[0, 5], [5, 0]]\ncount = 2",
         Fault::Range,
         18,
-        "the range is upside down: 5 is more than 0; the least value goes first",
+        "the range is reversed: 5 is more than 0; the least value goes first",
     );
 }
 
@@ -349,7 +340,9 @@ fn lists_have_as_many_values_as_there_are_numbers() {
             line,
             Fault::Count,
             key.len() + 4,
-            &format!("`{key}` has {given} values for {count} numbers: say it once for all, or once for each"),
+            &format!(
+                "`{key}` has {given} values for {count} numbers: give it once for all, or once for each"
+            ),
         );
     }
     in_effector(
@@ -386,25 +379,22 @@ fn keys_of_other_kinds_are_refused() {
         ),
         ("members = []\nkind = \"command\"", "a command has no `members`"),
         ("of = \"x\"\nkind = \"event\"", "an event has no `of`"),
-        (
-            "max = 3\nkind = \"event\"",
-            "`max` is of `type = \"bytes\"`, and there is no `type`",
-        ),
+        ("max = 3\nkind = \"event\"", "`max` requires `type = \"bytes\"`"),
         (
             "max = 3\nkind = \"event\"\ntype = \"u8\"",
             "`max` is of bytes; how many numbers there are is `count`",
         ),
         (
             "unit = \"mm\"\nkind = \"event\"",
-            "`unit` is of numbers, and without a `type` there are none",
+            "`unit` requires a `type` of numbers",
         ),
         (
             "scale = 2\nkind = \"sensor\"\ntype = \"bytes\"\nmax = 5",
-            "`scale` is of numbers, and bytes are none",
+            "`scale` applies to numbers, not to bytes",
         ),
         (
             "interpolate = true\nkind = \"effector\"\ntype = \"u8\"\nmotion = \"incremental\"",
-            "steps that add up are not interpolated: leave `interpolate` out, or `motion`",
+            "incremental steps cannot be interpolated: leave out `interpolate` or `motion`",
         ),
     ] {
         in_element(lines, Fault::NotOfKind, (5, 1), words);
@@ -421,7 +411,7 @@ fn a_sound_is_a_codec_and_a_rate_that_it_knows() {
             "pcm",
             2000,
             Fault::UnknownWord,
-            "a sound is a codec and its samples a second, such as `pcm 16000`, and not `pcm`",
+            "a sound must be a codec and its samples per second, such as `pcm 16000`, not `pcm`",
         ),
         (
             "pmc 16000",
@@ -445,7 +435,7 @@ fn a_sound_is_a_codec_and_a_rate_that_it_knows() {
             "pcm 48900",
             1955,
             Fault::Number,
-            "20 ms of it have up to 1956 bytes, and `max` is 1955",
+            "20 ms of it take up to 1956 bytes, and `max` is 1955",
         ),
     ] {
         in_element(&speaker(sound, max), fault, (5, 9), words);
@@ -487,12 +477,12 @@ fn references_lead_to_elements_of_the_right_kind() {
         (
             "kind = \"monitor\"\nof = \"other\"",
             (10, 6),
-            "a monitor tells the states of an effector, and `other` is of kind monitor",
+            "a monitor reports the states of an effector, and `other` is of kind monitor",
         ),
         (
             "kind = \"module\"\nmembers = [\"wheel\", \"nobody\"]",
             (10, 21),
-            "there is no element `nobody`; there are `wheel`",
+            "there is no element `nobody`; expected `wheel`",
         ),
         (
             "kind = \"module\"\nmembers = [\"wheel\", \"wheel\"]",
@@ -502,7 +492,7 @@ fn references_lead_to_elements_of_the_right_kind() {
         (
             "kind = \"module\"\nmembers = [\"other\"]",
             (10, 12),
-            "`other` is a module, and modules have no modules as members",
+            "`other` is a module, and a module cannot contain modules",
         ),
         (
             "kind = \"module\"\nmembers = [\"wheel\"]\n[[element]]\nname = \"third\"\nkind = \"module\"\nmembers = [\"wheel\"]",

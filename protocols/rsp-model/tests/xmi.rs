@@ -94,7 +94,7 @@ fn what_is_checked_in_toml_is_checked_in_xmi() {
         "type=\"i8\" unit=\"%\" range=\"100 -100\"",
         Fault::Range,
         (41, 75),
-        "the range is upside down: 100 is more than -100; the least value goes first",
+        "the range is reversed: 100 is more than -100; the least value goes first",
     );
     check(
         "period=\"40\"",
@@ -115,7 +115,7 @@ fn what_is_checked_in_toml_is_checked_in_xmi() {
         "id=\"eight\" period",
         Fault::Type,
         (36, 47),
-        "an integer is expected here, and this is a text",
+        "expected an integer, found a text",
     );
 }
 

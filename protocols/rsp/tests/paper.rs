@@ -105,7 +105,7 @@ fn no_watchdog_stops_the_robot() {
     assert_eq!(
         world.middle.state(),
         State::Up,
-        "whoever comes after 500 ms of silence may have it"
+        "another middle may have it after 500 ms of silence"
     );
     assert_eq!(world.told.last(LEFT), Some(&[0, 0][..]));
 }

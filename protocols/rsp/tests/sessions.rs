@@ -397,7 +397,7 @@ fn a_robot_without_a_watchdog_keeps_its_session() {
     world.drop_down = |_| true;
     world.run(400);
     assert!(world.robot.is_up(), "nothing is said, and nobody watches");
-    // Whoever asks after the silence of a middle that is gone gets a session.
+    // A middle that asks after the silence of one that is gone gets a session.
     world.drop_down = |_| false;
     world.middle = middle(Settings::default(), 2);
     world.run(200);

@@ -107,7 +107,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 200, max_shrink_iters: 60, failure_persistence: None, ..ProptestConfig::default() })]
 
     /// After any calls, values and sounds, in any weather: once the robot has confirmed a stop, or begun another session, it is told
-    /// nothing more, also when all is active again, until somebody commands something.
+    /// nothing more, also when all is active again, until a command comes.
     #[test]
     fn nothing_begins_after_a_confirmed_stop(
         loss in 0..50_u64,

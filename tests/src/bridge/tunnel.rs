@@ -30,7 +30,7 @@ pub(super) async fn carry(near: TcpStream, hub: SocketAddr) -> io::Result<()> {
     let tunnel = Tunnel { hub, id };
     let (from_near, to_near) = near.into_split();
     tokio::select! {
-        // Whoever says no more may still hear.
+        // A side that has finished sending may still receive.
         Err(error) = tunnel.up(from_near) => Err(error),
         ended = tunnel.down(to_near) => ended,
     }

@@ -74,7 +74,7 @@ pub enum Error {
     /// A broker that does not start.
     #[error("the broker does not start: {0}")]
     Broker(String),
-    /// Somebody heard something else.
+    /// A peer heard something else.
     #[error("line {line}: {said}\n{text}\n\nthe dialogue up to there:\n{transcript}")]
     Otherwise {
         /// From 1; the last line for what was still to be heard at the end.

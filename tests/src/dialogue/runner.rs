@@ -162,7 +162,7 @@ impl Runner {
     async fn joins(&mut self, who: &str, paths: &[String]) -> Result<(), String> {
         for path in paths {
             self.say(who, &Request::parse(&format!("join {path}"))?).await?;
-            // Of the joining itself the peer hears as a member; that is no news here.
+            // Of the joining itself the peer hears as a member; that is not reported here.
             let own = self.ignored.insert("joined".to_owned());
             let result = self.hear(who, &Pattern::ok(Vec::new())).await;
             if own {

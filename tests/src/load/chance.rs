@@ -114,7 +114,7 @@ impl Known {
             remember(&mut self.stops, number);
         }
         if let Some(peer) = content.get("peer").and_then(Value::as_str) {
-            // Whoever is thrown out would notice.
+            // A peer that is thrown out would notice.
             if !["alice", "arm"].iter().any(|canary| peer.starts_with(canary)) {
                 remember(&mut self.peers, peer.to_owned());
             }

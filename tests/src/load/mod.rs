@@ -25,7 +25,7 @@ use frames::Shape;
 use peer::{Habit, Peer};
 use pipe::Route;
 
-/// What the load makes lies below this: whoever gives it to a hub makes it, and deletes it at the end.
+/// What the load makes lies below this: the caller makes it, and deletes it at the end.
 pub use parcels::OWN;
 
 /// Peers of the load.

@@ -168,7 +168,7 @@ impl Peer {
         bytes
     }
 
-    /// The same large message again and again, which nothing may drop: whoever reads nothing has much waiting.
+    /// The same large message again and again, which nothing may drop: a peer that reads nothing has much waiting.
     fn storm(&mut self, mind: &mut Mind) -> Vec<u8> {
         let parcel = mind.large();
         let Ok(frame) = self.form.encode(&parcel) else {

@@ -18,7 +18,7 @@ pub(super) struct Route {
     /// All of 127.0.0.0/8 is this machine, so each peer has an address of its own.
     pub(super) from: IpAddr,
     pub(super) tls: bool,
-    /// A small receive buffer in the kernel: whoever reads nothing is soon full.
+    /// A small receive buffer in the kernel: a peer that reads nothing is soon full.
     pub(super) small: bool,
 }
 

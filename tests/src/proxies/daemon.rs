@@ -88,7 +88,7 @@ impl Daemon {
             kind.program()
         );
         let mut said = String::new();
-        // Somebody else may take the port before the proxy does.
+        // Another program may take the port before the proxy does.
         for _ in 0..5 {
             match Daemon::try_start(kind, network, connects) {
                 Ok(daemon) => return daemon,

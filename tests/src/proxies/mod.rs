@@ -71,7 +71,7 @@ impl BufferingProxy {
         let accepting = tokio::spawn(async move {
             while let Ok((stream, _)) = listener.accept().await {
                 let known = Arc::clone(&shared);
-                // However a connection ends, whoever is at its ends sees it.
+                // However a connection ends, both ends see it.
                 tokio::spawn(async move { drop(serve(stream, manners, &known).await) });
             }
         });

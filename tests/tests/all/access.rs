@@ -419,7 +419,7 @@ fn line_of(text: &str, words: &str) -> i64 {
     i64::try_from(index.expect("it is there")).expect("few lines") + 1
 }
 
-/// Whoever asks on and on has one answered at a time, and bob drives as before.
+/// A peer that asks on and on has one answered at a time, and bob drives as before.
 #[tokio::test]
 async fn a_flood_of_what_ifs_disturbs_nobody() {
     let home = Home::new(FILES);

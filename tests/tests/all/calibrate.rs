@@ -196,7 +196,7 @@ async fn nobody_but_the_owner_of_the_token_calibrates() {
         "nobody grabbed it"
     );
 
-    // Somebody else owns the token: neither the command nor the message itself does anything.
+    // Another peer owns the token: neither the command nor the message itself does anything.
     let guard = token.grab().await.expect("it is free");
     let said = lab.bob(&["calibrate", "x"]).await;
     assert_eq!((said.code, said.out.as_str()), (Some(1), ""));

@@ -169,7 +169,7 @@ async fn only_the_owner_of_the_token_sets_a_camera() {
     let seen = image(&mut events, |_| true).await;
     assert_eq!((number(&seen, "width"), number(&seen, "quality")), (320, 60));
 
-    // Somebody else owns it: the camera says who, to whoever asked.
+    // Another peer owns it: the camera says who, to the requester.
     let guard = token.grab().await.expect("it is free");
     let (code, out, words) = told("bob", &["x", "--size", "64x48"]).await;
     assert_eq!((code, out.as_str()), (Some(1), ""));

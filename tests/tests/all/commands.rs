@@ -218,7 +218,7 @@ async fn a_token_is_given_for_a_while_and_for_good_or_not_at_all() {
 async fn an_owner_answers_at_its_terminal() {
     let desk = Desk::start("open").await;
     let grab = ["grab", "--answer", TOKEN];
-    // The answers wait until somebody asks.
+    // The answers wait until they are asked for.
     let alice = desk.run_as("alice", &grab, "n in a minute\ny\n");
     let asks = async {
         owned_by(&desk.carol, "alice").await;
@@ -263,7 +263,7 @@ async fn a_token_is_inhibited_and_broken() {
     let shown = desk.run_as("bob", &["token", TOKEN], "").await;
     check(&shown, 0, &["owner     nobody: alice inhibits it"]);
     let broken = desk.run_as("carol", &["break", TOKEN], "").await;
-    check(&broken, 0, &["broke /desk/token: alice has it no more"]);
+    check(&broken, 0, &["broke /desk/token: alice no longer has it"]);
     alice.line_with("lost /desk/token");
     assert_eq!(ended(alice).await, Some(1));
     let short = desk

@@ -402,7 +402,7 @@ async fn a_link_goes_on_compressed() {
                 let from = said
                     .get("who")
                     .and_then(Value::as_str)
-                    .expect("somebody")
+                    .expect("a peer")
                     .to_owned();
                 let round = said.get("round").and_then(Value::as_int).expect("a round");
                 let expected = rounds.get(&from).and_then(Value::as_int).unwrap_or_default();
@@ -447,7 +447,7 @@ async fn mom_compresses_when_told() {
     broker.stop().await;
 }
 
-/// Compression takes nobody around a bound of bytes: they are counted decompressed, whoever compressed them.
+/// Compression takes nobody around a bound of bytes: they are counted decompressed, regardless of who compressed them.
 #[tokio::test]
 async fn a_quota_counts_what_content_unpacks_to() {
     let broker = lab::start_at(lab::clock(), |_| {}).await;

@@ -74,7 +74,7 @@ struct Job {
     done: oneshot::Sender<Outcome>,
 }
 
-/// Somebody who has tasks.
+/// A peer with tasks.
 struct Worker {
     client: Client,
     random: fastrand::Rng,
@@ -188,7 +188,7 @@ impl Worker {
         self.agent.send(job).expect("the agent is there");
         let outcome = outcome.await.expect("it says what came of it");
         for given in given {
-            // It comes back, unless somebody took it, or it was not accepted at all.
+            // It comes back, unless a peer took it, or it was not accepted at all.
             if let Ok(Ok(back)) = timeout(PATIENCE, given.returned()).await {
                 back.release().await.map_err(plain)?;
             }

@@ -265,7 +265,7 @@ async fn the_link_to_the_controller_fails_and_recovers() {
     let said = text(&failed.stderr) + &text(&failed.stdout);
     assert_eq!(failed.status.code(), Some(1), "{said}");
     assert!(
-        said.contains("the controller does not answer any more") && said.contains("[link 5003]"),
+        said.contains("the controller no longer answers") && said.contains("[link 5003]"),
         "{said}"
     );
     // The link is down now: the next command is refused, and sent again when it is back.

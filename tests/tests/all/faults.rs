@@ -28,7 +28,7 @@ const FAULTS: [(&str, &str); 8] = [
     ),
     (
         "safe = { channel = \"/arm\", name = \"stop\" }",
-        "contexts[0].safe.name: stop and unstop are for peers",
+        "contexts[0].safe.name: safe cannot be stop or unstop",
     ),
     (
         "manager = \"lba\"",

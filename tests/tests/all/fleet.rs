@@ -460,7 +460,7 @@ fn a_deleted_channel_of_one_robot_leaves_the_others_and_comes_back() {
     good(&fleet.hub, "carol", &["delete", "/fleet/1/robot"]);
     page_until(&fleet.pages[0], |left| left == 0);
     assert_eq!(page(&fleet.pages[1]).0, 100, "the other one goes on");
-    // It is taken up again, and stands until somebody drives it.
+    // It is taken up again, and stands until it is driven.
     let until = Instant::now() + PATIENCE;
     while !typed(&fleet.hub, "carol", &["fleet", "send", "1", "leds 3"])
         .status

@@ -392,7 +392,7 @@ async fn an_operator_edits_the_fleet_at_the_hub() {
     } = lab;
     gateway.signal("TERM");
     assert!(gateway.wait().success());
-    // The channel has kept the last edit: it is done once, whoever comes.
+    // The channel has kept the last edit: it is done once, even if a gateway joins later.
     let file = folder.path().join("fleet.toml");
     let text = std::fs::read_to_string(&file).expect("it is there");
     let first = format!("\n[[robot]]\nunit = 1\naddress = \"{}\"\n", at[0]);
@@ -408,7 +408,7 @@ async fn an_operator_edits_the_fleet_at_the_hub() {
     carol.client.close().await;
 }
 
-/// A robot that somebody else holds is left to them; who is not an operator neither sees where robots listen nor changes it.
+/// A robot that another user holds is left to them; who is not an operator neither sees where robots listen nor changes it.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_edit_takes_no_robot_out_of_anybodys_hands() {
     let lab = FleetLab::start();

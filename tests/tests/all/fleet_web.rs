@@ -99,7 +99,7 @@ fn a_robot_shows_itself_while_a_base_station_drives_it() {
         shown.contains("<td>moving</td>") && shown.contains(&me),
         "{shown}"
     );
-    // It obeys at once, whoever looks.
+    // It obeys at once, whether anyone watches or not.
     assert_eq!(station.say("06 00000 00000") & 16, 0, "it stands");
     assert_eq!(state(page)["moving"], false);
     for (method, path, status) in [

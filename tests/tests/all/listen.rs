@@ -17,7 +17,7 @@ use tokio::io::{AsyncWriteExt as _, copy_bidirectional};
 use tokio::net::{TcpListener, TcpSocket};
 use tokio::time::timeout;
 
-/// Where the proxy is; everything else of loopback is somebody else.
+/// Where the proxy is; everything else of loopback is not trusted.
 const PROXY: [u8; 4] = [127, 0, 0, 2];
 /// The beginning of an entity.
 const XML: &[u8] = b"Content-Length: 10\r\n";
@@ -284,7 +284,7 @@ async fn threat_28_proxies_that_say_it_wrong_or_not_at_all() {
         check(&raw.next_error().await, &Code::BAD_FRAME, "PROXY protocol header");
         raw.check_closed().await;
     }
-    // A header of somebody else is nothing that begins a form.
+    // A header of another protocol is nothing that begins a form.
     for header in [line("192.0.2.1"), binary(0x21, [192, 0, 2, 2])] {
         assert_eq!(refusal(&broker, &header).await.code, Code::BAD_FRAME);
     }

@@ -92,7 +92,7 @@ fn executing(event: &Event) -> Option<()> {
     (status.state == CommandState::Executing).then_some(())
 }
 
-/// Whoever agrees to take a robot over does not take over what its giver began.
+/// A peer that accepts a robot does not take over what its giver began.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_robot_that_is_given_away_stops_what_its_giver_began() {
     let lab = Lab::start().await;

@@ -1,4 +1,4 @@
-//! One order for all receivers (M27, M35): whoever sends by whichever way, everybody in a reliable channel hears the same
+//! One order for all receivers (M27, M35): whatever the sender and its way, everybody in a reliable channel hears the same
 //! sequence, without a gap, and each sender's messages in the order in which it sent them. What a token guards is a sequence of its own.
 
 use std::collections::{HashMap, VecDeque};
@@ -417,7 +417,7 @@ impl Outcome {
             .filter_map(|(name, way, _)| Some((name.as_str(), (*way)?)))
             .collect();
         let listener = self.heard.iter().find(|(_, way, _)| way.is_none());
-        let order = &listener.expect("somebody only listens").2.said;
+        let order = &listener.expect("a peer only listens").2.said;
         assert_eq!(order.len() as u64, MESSAGES * way_of.len() as u64, "no gap");
         for name in way_of.keys() {
             let own = order
@@ -452,7 +452,7 @@ impl Outcome {
         let place: HashMap<&Said, usize> = public.iter().enumerate().map(|(at, said)| (*said, at)).collect();
         assert!(
             self.visits.iter().any(|visit| !visit.is_empty()),
-            "somebody came in time"
+            "a peer came in time"
         );
         for visit in &self.visits {
             let visit = part(visit);
@@ -514,7 +514,7 @@ async fn one_order_across_codecs() {
     .await;
 }
 
-/// Where all speak binary plain messages pass in runs, until somebody comes who does not, and again when that one has
+/// Where all speak binary plain messages pass in runs, until a peer comes that does not, and again when that one has
 /// left; beside them go messages that pass one by one.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn one_order_of_runs_and_single_messages() {

@@ -1,4 +1,4 @@
-//! The lab's camera that turns (M62): driven by the owner of its own token only, whoever drives the arm.
+//! The lab's camera that turns (M62): driven by the owner of its own token only, regardless of the arm's owner.
 
 use std::fs::{self, File};
 use std::path::PathBuf;

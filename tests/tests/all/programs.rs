@@ -291,7 +291,7 @@ async fn end(lab: Lab) {
     }
 }
 
-/// Signals that mean nothing here end nothing, and SIGQUIT ends it as SIGTERM does: whoever is connected hears of it.
+/// Signals that mean nothing here end nothing, and SIGQUIT ends it as SIGTERM does: connected peers are told.
 #[tokio::test(flavor = "multi_thread")]
 async fn only_signals_that_say_so_stop_a_broker() {
     let (broker, address) = Running::broker(&project().join("config/lab.toml"));

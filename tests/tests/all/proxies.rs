@@ -152,7 +152,7 @@ async fn daemon(kind: Kind, connects: bool) -> Daemon {
     spawn_blocking(start).await.expect("it starts")
 }
 
-/// Whoever waits for the end of an answer lets no stream through: the tunnel notices, and asks again and again instead.
+/// A proxy that waits for the end of an answer lets no stream through: the tunnel notices, and asks again and again instead.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_tunnel_polls_where_answers_are_held_back() {
     let mut scene = Scene::start().await;
@@ -319,7 +319,7 @@ fn through_proxies_where_nothing_else_gets_through() {
         Err(error) => return eprintln!("left out: no network namespaces here: {error}"),
     };
     let runtime = tokio::runtime::Runtime::new().expect("there are threads");
-    // The listening socket belongs to the namespace, whoever polls it.
+    // The listening socket belongs to the namespace, not to the thread that polls it.
     let broker = confined.ends.hub.within(|| {
         runtime.block_on(lab::start_with(|config| {
             config.tls = tls::of_hub();

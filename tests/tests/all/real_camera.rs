@@ -439,7 +439,7 @@ async fn only_the_camera_says_that_it_fails() {
     }
 }
 
-/// An unread image is replaced: whoever is slow gets the newest, and holds nobody up.
+/// An unread image is replaced: a slow reader gets the newest, and holds nobody up.
 #[tokio::test(flavor = "multi_thread")]
 async fn who_reads_slowly_gets_the_newest_image() {
     const IMAGES: usize = 60;

@@ -188,7 +188,7 @@ async fn parts(hub: &str, agents: &str) -> (Running, [Running; 2], Running) {
                 if members.iter().any(|member| member.user == user) {
                     break;
                 }
-                // Somebody comes, or goes.
+                // A peer comes, or goes.
                 let _news = events.next().await;
             }
         }

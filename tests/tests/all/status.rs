@@ -106,7 +106,7 @@ async fn what_was_said_before_is_no_answer_to_a_command() {
     broker.stop().await;
 }
 
-/// Whoever drives hears at once that the device's connection is lost, though the device may come back.
+/// The driver hears at once that the device's connection is lost, though the device may come back.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_run_ends_when_its_device_is_lost() {
     let (broker, mut arm) = lab_with(1).await;

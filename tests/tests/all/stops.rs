@@ -88,7 +88,7 @@ async fn who_says_nothing_is_named() {
     mute.next_of(Family::Message, "stop").await;
     let word = Map::new().with("stopped", true);
     mute.send_parcel(&message("state", ARM, word)).await;
-    // Whoever is a device no more is not waited for.
+    // A peer that is no longer a device is not waited for.
     mute.ask(join(Map::new())).await.expect("a member");
     let output = mom(&lab, "alice", &["stop", ARM]).await;
     assert_eq!(told(&output), (Some(0), "/robot/arm: arm stands\n".to_owned()));
@@ -394,7 +394,7 @@ async fn a_key_stops_also_over_a_connection_that_comes_back() {
     ready.press().await;
     let lost = "the connection is lost: a stop is said as soon as it is back";
     ready
-        .remarks(&["nobody knows whether anything has stopped", lost])
+        .remarks(&["it is unknown whether anything has stopped", lost])
         .await;
     network.freeze(false);
     assert_eq!(ready.tells().await, "/robot/arm: arm stands");

@@ -18,7 +18,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until, timeout};
 const PERIOD: Duration = Duration::from_millis(100);
 /// What an owner says: it turns on the spot, for less than the period.
 const COMMAND: &str = "motor 100 -100 50";
-/// What nobody who may command says: LEDs keep their data, so whoever was obeyed once is found out later.
+/// What nobody who may command says: LEDs keep their data, so a peer that was obeyed once is found out later.
 const STRANGER: i64 = 99;
 const FORMER: i64 = 77;
 /// Robots under one token.
@@ -177,7 +177,7 @@ impl Watcher {
         }
     }
 
-    /// Hears what is told; whoever was obeyed and may not command is found out here.
+    /// Hears what is told; a peer that was obeyed and may not command is found out here.
     async fn hear(&mut self) {
         let Some(Event::Message(parcel)) = self.events.next().await else {
             return;

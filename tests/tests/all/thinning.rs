@@ -192,7 +192,7 @@ async fn joining_again_changes_it_and_leaving_ends_it() {
             scene.say(CHAT, "state", words).await;
         }
         scene.hears_words("one").await;
-        // Whoever wants all from now on hears at once what waited.
+        // A member that wants all from now on hears at once what waited.
         scene.bob.ask(join(CHAT, Map::new())).await.expect("a member");
         scene.hears_words("two").await;
         for words in ["three", "four"] {

@@ -174,7 +174,7 @@ async fn a_certificate_logs_its_user_in_and_nobody_else() {
     broker.stop().await;
 }
 
-/// A key that is there is somebody's, whatever became of its certificate.
+/// A key that is there is in use, whatever became of its certificate.
 #[tokio::test]
 async fn half_of_a_certificate_is_not_overwritten() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -177,7 +177,7 @@ fn message(text: &str) -> Parcel {
     Parcel::new(Family::Message, "chat").context(chat()).content(text)
 }
 
-/// Somebody in the chat who is not a part of the tunnel.
+/// A peer in the chat that is not a part of the tunnel.
 async fn carol(broker: &Broker) -> (Client, Events) {
     let carol = Client::builder(format!("bin://{}", broker.local_addr()));
     let carol = carol.user("carol").password("carol").no_reconnect().connect();
@@ -198,7 +198,7 @@ async fn said(events: &mut Events, last: &str) -> Vec<String> {
     said
 }
 
-/// Whoever did not hear the answer asks again: what is here already counts once, what is missing is asked for.
+/// A client that did not hear the answer asks again: what is here already counts once, what is missing is asked for.
 #[tokio::test]
 async fn threat_17_what_goes_up_is_taken_once() {
     let broker = lab::start().await;
@@ -489,7 +489,7 @@ async fn threat_17_no_request_has_two_lengths() {
     broker.stop().await;
 }
 
-/// Where somebody between could read the id and take the tunnel over, it needs TLS.
+/// Where others on the path could read the id and take the tunnel over, it needs TLS.
 #[tokio::test]
 async fn threat_17_without_tls_it_is_for_loopback() {
     let broker = lab::start_with(|config| {
@@ -517,7 +517,7 @@ async fn threat_17_without_tls_it_is_for_loopback() {
     broker.stop().await;
 }
 
-/// What a proxy on this machine brings is somebody else's, who may be anywhere: neither a tunnel nor a password is taken from there.
+/// What a proxy on this machine brings is a remote client's, which may be anywhere: neither a tunnel nor a password is taken from there.
 #[tokio::test]
 async fn threat_17_a_proxy_that_shows_itself_makes_no_password_safe() {
     let broker = lab::start().await;

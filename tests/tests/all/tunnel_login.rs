@@ -16,7 +16,7 @@ async fn the_lost_answer_to_a_login_is_given_again_to_who_has_logged_in() {
         let login = tunnel.encode(Parcel::new(Family::Login, "login").content(content));
         let lost = tunnel.post(0, &login).await;
         let id = lost.field("mom-tunnel").expect("a new id").to_owned();
-        // Whoever waits for bytes hears nothing by the old id.
+        // A client that waits for bytes hears nothing by the old id.
         assert_eq!(tunnel.get(0).await.status, 404);
         if guessed {
             let mut guess = login.clone();

@@ -298,7 +298,7 @@ async fn the_newest_image_of_a_channel_has_a_url() {
         let (broker, cookie) = (address, cookie.clone());
         async move { ask(broker, "GET /api/image/camera/x", &[&cookie], b"").await }
     });
-    // Whoever asks becomes a member and requests an image.
+    // The caller becomes a member and requests an image.
     loop {
         let event = asked.next().await.expect("the hub goes on");
         if matches!(&event, mom_client::Event::Message(parcel) if parcel.name() == "request") {

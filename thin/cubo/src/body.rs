@@ -170,7 +170,7 @@ impl Cubo {
         })
     }
 
-    /// Somebody touches it.
+    /// A person touches it.
     pub fn touch(&mut self, touch: Touch) {
         match touch {
             Touch::ServiceButton => self.raised.push_back(Raised::Service),

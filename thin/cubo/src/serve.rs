@@ -54,7 +54,7 @@ impl CuboHandle {
         }))))
     }
 
-    /// Somebody touches it.
+    /// A person touches it.
     pub fn touch(&self, touch: Touch) {
         self.0.lock().body.touch(touch);
     }

@@ -25,7 +25,7 @@ Examples:
   MOM_PASSWORD=gateway mom-simulacrum --model config/cubo.toml --robot /cubo=127.0.0.1:7700 --period 20-40 --paper
 
 A robot is the session that --robot names, with the channels robot and simulacrum and the token token, which are made where they are missing.
-Whoever holds the token drives it with set, do, activate and, if it has wheels, as the robots of a fleet (mom run --help). A robot's key is 32
+The owner of the token drives it with set, do, activate and, if it has wheels, as the robots of a fleet (mom run --help). A robot's key is 32
 bytes as 64 hexadecimal digits, the first line of its file; mom-cubo --write-key makes one. Without a key packets travel in the open, which
 is for loopback and trials. The password is that of MOM_PASSWORD, unless --password-file names a file. Where there is no hub yet it waits.
 The log goes to the standard error; RUST_LOG says how much of it. Ctrl-C and SIGTERM have the robots take their safe values and end the program.";

@@ -1,4 +1,4 @@
-//! The licences of the libraries inside the programs: whoever gets a program has to get them too.
+//! The licences of the libraries inside the programs: recipients of a program have to get them too.
 
 use std::collections::BTreeMap;
 use std::fs;

@@ -94,7 +94,7 @@ impl Pack {
 struct Release {
     /// The version of all our packages.
     version: String,
-    /// The name and mail of whoever made the latest commit, to whom SECURITY.md sends reports.
+    /// The name and mail of the author of the latest commit, to whom SECURITY.md sends reports.
     maintainer: String,
     /// When it was made, in seconds since 1970: the same commit gives the same files.
     epoch: String,

@@ -12,7 +12,7 @@ use super::tree::{Tree, line_at};
 
 const GLOSSARY: &str = "docs/glossary.md";
 
-/// Top folders whose packages are not shipped: in a test `Peer` may be whoever speaks.
+/// Top folders whose packages are not shipped: in a test `Peer` may be any that speaks.
 const NOT_SHIPPED: &[&str] = &["", "tests", "benches", "xtask"];
 
 /// One reserved word.

@@ -62,7 +62,7 @@ fn markdown(rows: &[Measured], time: Duration) -> String {
     }
     let _ = writeln!(
         text,
-        "\nA processor core has 1000 ms/s. What the kernel does for loopback counts to whoever writes.\n\n![Commands over loopback](images/{IMAGES}-fleet-many.svg)"
+        "\nA processor core has 1000 ms/s. What the kernel does for loopback counts to the writer.\n\n![Commands over loopback](images/{IMAGES}-fleet-many.svg)"
     );
     text
 }

@@ -131,7 +131,7 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> End for Rob
     }
 }
 
-/// The programs at both ends, and whoever watches. All functions but those of [`Body`] may do nothing.
+/// The programs at both ends, and an observer. All functions but those of [`Body`] may do nothing.
 pub(super) trait Scene: Body {
     /// The middle's program has a turn: something may have arrived, and its end will send what is due.
     fn at_middle(&mut self, now: u64, middle: &mut Middle<'_>);

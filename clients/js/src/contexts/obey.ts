@@ -53,7 +53,7 @@ export class Device {
     return this.#latch.isStopped;
   }
 
-  /** Stops by itself, as at a bumper, until somebody lifts that. */
+  /** Stops by itself, as at a bumper, until a peer lifts that. */
   stopItself(why: string): void {
     this.#take(this.#latch.stopItself(why));
     this.#tellOwnStop();
@@ -78,7 +78,7 @@ export class Device {
       for await (const event of this.#events) this.#heard(event);
     } finally {
       // Also where its machine has failed.
-      this.#over ??= "it is not a device of its channel any more";
+      this.#over ??= "it is no longer a device of its channel";
       this.machine.halt(this.#over);
     }
   }
@@ -86,7 +86,7 @@ export class Device {
   #heard(event: Event): void {
     const turn = this.#latch.observe(event);
     if (turn) this.#take(turn);
-    if (event.type === "expelled" && event.peer === this.channel.client.name) this.#over = `it was put out of its channel${event.text ? `: ${event.text}` : ""}`;
+    if (event.type === "expelled" && event.peer === this.channel.client.name) this.#over = `it was expelled from its channel${event.text ? `: ${event.text}` : ""}`;
     if (event.type === "lagged") this.#tellOwnStop();
     else if (event.type === "joined") this.report([event.member.peer]);
     // Without names of who joined, all are told.
@@ -94,7 +94,7 @@ export class Device {
     else if (event.type === "rejoined") {
       this.report();
       this.#tellOwnStop();
-    } else if (event.type === "released") this.#halt("its owner has it no more");
+    } else if (event.type === "released") this.#halt("its owner no longer owns it");
     else if (event.type === "message") this.#message(event);
   }
 
@@ -118,7 +118,7 @@ export class Device {
     void (async () => {
       const held = this.mayMove();
       if (held) throw new MomError("local", "stopped", held.text);
-      if (!this.channel.permits(parcel)) throw new MomError("local", "older-fence", "its sender owns the token no more");
+      if (!this.channel.permits(parcel)) throw new MomError("local", "older-fence", "its sender no longer owns the token");
       await this.machine.move(content, event);
     })().catch((error: unknown) => {
       const [code, text] = error instanceof MomError ? [error.code, error.text] : ["failed", String(error)];

@@ -202,7 +202,7 @@ export class TokenGuard extends Guard {
   async release({ after, within = 10_000 }: { after?: "done"; within?: number } = {}): Promise<void> {
     const late = after === "done" && !(await this.#done(within));
     await this.#release();
-    if (late) throw new MomError("timed-out", "timed-out", `nothing has said within ${within} ms how the last command ended; ${this.path} is released`);
+    if (late) throw new MomError("timed-out", "timed-out", `the outcome of the last command was not reported within ${within} ms; ${this.path} is released`);
   }
 
   /** Whether the last command has ended in time. */

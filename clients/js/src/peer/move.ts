@@ -81,6 +81,6 @@ export class Mover {
       await peer.pending.wait({ family: "time", name: "ping" }, peer.ping(), LONGEST_HOLD);
       if (!stays() && peer.ledger.kept.every((entry) => entry.reliable && !entry.perishable)) return;
     }
-    throw local("not-now", "the link does not move now");
+    throw local("not-now", "the link cannot move now");
   }
 }

@@ -158,7 +158,7 @@ export class Peer {
     const unread = this.ledger.resumed(said);
     if (!unread) {
       wire.drop();
-      throw new MomError("refused", "bad-count", `the hub has read ${said.read} parcels, and not the first ones that were sent`, 408);
+      throw new MomError("refused", "bad-count", `the hub has read ${said.read} parcels, which are not the first ones sent`, 408);
     }
     this.outbox.back(unread, { family: "time", name: "resent" });
     const count = int(content, "dropped") ?? 0;
@@ -327,7 +327,7 @@ export class Peer {
   #receive(parcel: Parcel | null, size: number): void {
     const now = performance.now();
     // What lies there after a halt of the whole program was said before, and the hub has given the link up: a device must not move by it.
-    if (now - Math.min(this.#heard, this.#spoke) > this.me!.limits.gone) return this.endServing("this program stood still for longer than its connection lives");
+    if (now - Math.min(this.#heard, this.#spoke) > this.me!.limits.gone) return this.endServing("this program was suspended for longer than a connection lasts");
     this.#heard = now;
     if (this.state.state === "stale") this.#state({ state: "connected", door: shown(this.wire!.pipe.door), resumed: false });
     if (parcel?.family === "time") return this.#time(parcel);
@@ -347,7 +347,7 @@ export class Peer {
     } else if (parcel.name === "ack" && this.link) {
       if (!this.ledger.acknowledged(saidOf(fields))) {
         this.link = null;
-        return this.endServing("the hub acknowledges what was not sent");
+        return this.endServing("the hub acknowledges parcels that were not sent");
       }
       this.pump();
     }
@@ -450,7 +450,7 @@ export class Peer {
   /** That something can be sent now or, while a link is resumed, later. */
   #check(): void {
     if (this.isEnding) throw new MomError("closed", "disconnected", "this client is closed");
-    if (!this.wire && !this.link) throw disconnected("there is no connection to the hub at this moment");
+    if (!this.wire && !this.link) throw disconnected("there is no connection to the hub at present");
   }
 
   /** Queues a parcel up at once, also in a full outbox: what is said later must not get in before it. */
@@ -502,7 +502,7 @@ export class Peer {
     if (this.state.state === "closed") this.#check();
   }
 
-  /** A parcel will not be sent, or nobody can say whether it was read: whoever said it hears so. */
+  /** A parcel will not be sent, or nobody can say whether it was read: its sender is told. */
   #dropped({ parcel, awaited }: Entry, reason: string, cause?: MomError): void {
     const { id, context: path = "/", delivery } = parcel;
     this.guards.ended(id);
@@ -543,7 +543,7 @@ export class Peer {
     }
     for (const place of entered) await place.joined;
     const found = entered.at(-1)?.kind ?? "session";
-    if (kind !== undefined && found !== kind) throw new MomError("local", "wrong-kind", `${path} is a ${found}, no ${kind}`, 215);
+    if (kind !== undefined && found !== kind) throw new MomError("local", "wrong-kind", `${path} is a ${found}, not a ${kind}`, 215);
   }
 
   /** Begins to join a context, which is none of this peer's if that fails. */

@@ -59,12 +59,12 @@ class Address:
         """Reads an address; `AddressError` for what is none."""
         scheme, found, rest = text.partition("://")
         if not found:
-            raise AddressError(text, "it does not begin with mom:// or bin://")
+            raise AddressError(text, "the address must begin with mom:// or bin://")
         if scheme in ("tcp", "tcps", "json", "jsons"):
             form = "XML" if scheme.startswith("tcp") else "JSON"
             raise AddressError(text, f"this client speaks the binary form, not {form}: bin{'s' * scheme.endswith('s')}://")
         if scheme not in _SCHEMES:
-            raise AddressError(text, f"no hub is spoken to by {scheme}://")
+            raise AddressError(text, f"{scheme}:// is not a scheme of a hub")
         door, tls, port = _SCHEMES[scheme]
         rest, _, query = rest.partition("?")
         authority, slash, path = rest.partition("/")
@@ -80,15 +80,15 @@ class Address:
             key, _, value = part.partition("=")
             pin = _PIN.match(value) if key == "pin" else None
             if pin and self.door != ANY and not self.tls:
-                raise AddressError(text, "a fingerprint is for TLS")
+                raise AddressError(text, "a fingerprint requires TLS")
             if pin:
                 address = replace(address, pin=pin.group(1).lower(), tls=True)
             elif key == "pin":
-                raise AddressError(text, "a fingerprint is sha256: and 64 hexadecimal digits")
+                raise AddressError(text, "a fingerprint must be sha256: and 64 hexadecimal digits")
             elif part == "poll=1" and self.door == TUNNEL:
                 address = replace(address, polled=True)
             elif part != "form=bin" and part != "form=binary":
-                raise AddressError(text, "after ? comes pin= and a fingerprint")
+                raise AddressError(text, "after ? only pin= and a fingerprint may follow")
         return address
 
     @property
@@ -149,11 +149,11 @@ def _split(text: str, authority: str) -> Tuple[str, Optional[int]]:
         if ":" in rest:
             raise AddressError(text, "write an IPv6 address in brackets, as [::1]")
         if not host:
-            raise AddressError(text, "it has no host")
+            raise AddressError(text, "the address has no host")
         if not _HOST.match(host):
-            raise AddressError(text, f"{host!r} is not a name of a host")
+            raise AddressError(text, f"{host!r} is not a host name")
     if port is None:
         return host, None
     if not port.isdecimal() or not 0 < int(port) < 65536:
-        raise AddressError(text, f"a port is a number from 1 to 65535, not {port!r}")
+        raise AddressError(text, f"a port must be a number from 1 to 65535, not {port!r}")
     return host, int(port)

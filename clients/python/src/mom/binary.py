@@ -110,7 +110,7 @@ def _index(words: Tuple[str, ...], word: str, what: str) -> int:
     try:
         return words.index(word)
     except ValueError:
-        raise LocalError("bad-slot", f"{word!r} is not a {what}: it is one of {', '.join(words)}") from None
+        raise LocalError("bad-slot", f"{word!r} is not a {what}: expected one of {', '.join(words)}") from None
 
 
 def frame(body: bytes) -> bytes:
@@ -202,7 +202,7 @@ def _read_slots(parcel: Parcel, slots: _Slots, bits: int, numbers: Dict[int, str
         elif bit in (1, 2):
             name = slots.name()
             if name is None:
-                parcel.fault = "a name by a number that this side does not know"
+                parcel.fault = "a name by a number that this client does not know"
             setattr(parcel, "name" if bit == 1 else "sender", name or "")
         elif bit == 13:
             names = [slots.name() for _ in range(slots.varint())]
@@ -289,7 +289,7 @@ class Decoder:
             while len(self._input) - at >= 4:
                 (length,) = struct.unpack_from(">I", self._input, at)
                 if length > self.most or length == 0:
-                    raise LocalError("too-large", f"a frame of {length} bytes; {self.most} is the most")
+                    raise LocalError("too-large", f"a frame of {length} bytes exceeds the limit of {self.most}")
                 if len(self._input) - at < 4 + length:
                     break
                 body = bytes(memoryview(self._input)[at + 4 : at + 4 + length])
@@ -309,7 +309,7 @@ class Decoder:
         seen = bytes(self._input[: len(PREFACE)])
         if not PREFACE.startswith(seen[:4]):
             said = bytes(self._input[:200]).decode("ascii", "replace")
-            raise LocalError("bad-frame", f"this is not a hub, or none that speaks the binary form: {said!r}")
+            raise LocalError("bad-frame", f"this is not a hub that speaks the binary form: {said!r}")
         if len(seen) < len(PREFACE):
             return False
         if seen[4] != PREFACE[4]:
@@ -324,7 +324,7 @@ class Decoder:
         if body[0] == _CHUNK:
             return self._assemble(body)
         if body[0] < 128:
-            raise LocalError("bad-frame", f"the kind {body[0]} of a frame is unknown")
+            raise LocalError("bad-frame", f"unknown kind of frame {body[0]}")
         return None
 
     def _assemble(self, body: bytes) -> Optional[bytes]:
@@ -350,10 +350,10 @@ class Decoder:
         total, data = self._streams[stream]
         data += memoryview(body)[head.at :]
         if len(data) > total or (flags & _LAST and len(data) < total):
-            raise LocalError("bad-frame", f"stream {stream} has not the length that it announced")
+            raise LocalError("bad-frame", f"stream {stream} does not have the length that it announced")
         if not flags & _LAST:
             return None
         del self._streams[stream]
         if data[0] != _PARCEL:
-            raise LocalError("bad-frame", f"stream {stream} carries no parcel")
+            raise LocalError("bad-frame", f"stream {stream} does not carry a parcel")
         return bytes(data)

@@ -210,7 +210,7 @@ class Client:
         """Stops all devices of a channel, or of all channels below a session in which this peer has the right `stop`.
 
         It joins nothing, goes before everything else, and is answered when each device has said that it obeys, or after a second
-        (`within`, at most 10). `reason` is for whoever finds the devices stopped; `only` names the devices of a channel.
+        (`within`, at most 10). `reason` is for anyone who finds the devices stopped; `only` names the devices of a channel.
         """
         return await self._stopping("stop", path, {"reason": reason} if reason else {}, only, within)
 

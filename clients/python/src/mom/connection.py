@@ -76,7 +76,7 @@ class Connection:
         try:
             return await asyncio.wait_for(cls._to(address, trust, numbers), timeout)
         except asyncio.TimeoutError:
-            raise ConnectionDownError(f"{address}: nothing was heard within {timeout:g} s") from None
+            raise ConnectionDownError(f"{address}: no answer within {timeout:g} s") from None
 
     @classmethod
     async def _to(cls, address: Address, trust: Trust, numbers: Optional[Dict[int, str]]) -> Connection:
@@ -84,10 +84,10 @@ class Connection:
         connection = cls(transport, numbers)
         try:
             await transport.write(binary.PREFACE)
-            # Whoever takes connections is not a hub yet: its preface says so.
+            # A server that accepts connections need not be a hub: its preface says so.
             while not connection.decoder.began:
                 if not await connection._arrive():
-                    raise ConnectionDownError(f"{address}: closed before a word was said")
+                    raise ConnectionDownError(f"{address}: closed before anything was received")
         except _BROKEN as error:
             transport.abort()
             raise ConnectionDownError(f"{address}: {error}") from error
@@ -102,7 +102,7 @@ class Connection:
         # What lies there after a halt of the whole program was said before, and the hub has given the link up: a device must not move by it.
         slept, self._slept = _slept() - self._slept, _slept()
         if self.heard and now - min(self.heard, self.said()) + slept >= self.gone:
-            raise ConnectionDownError("this program stood still for longer than its connection lives")
+            raise ConnectionDownError("this program was suspended for longer than a connection lasts")
         self.heard = now
         for parcel, size in self.decoder.feed(data) if data else ():
             parcel.size = size

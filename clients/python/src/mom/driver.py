@@ -55,7 +55,7 @@ class Options:
         # A hub refuses it as it refuses what it does not know: then there would be no link either.
         if self.heartbeat is not None and not _HEARTBEAT[0] <= self.heartbeat <= _HEARTBEAT[1]:
             least, most = _HEARTBEAT
-            raise LocalError("bad-content", f"a heartbeat is from {least:g} s to {most:g} s, not {self.heartbeat:g} s")
+            raise LocalError("bad-content", f"a heartbeat must be from {least:g} s to {most:g} s, not {self.heartbeat:g} s")
 
 
 class Driver:
@@ -107,7 +107,7 @@ class Driver:
         except MomError as failed:
             error = failed.wire or WireError("disconnected", str(failed))
         except Exception as failed:
-            # Whoever waits must hear of it.
+            # Waiting tasks must be told.
             LOG.exception("the client failed")
             error = WireError("disconnected", f"the client failed: {failed!r}")
         finally:
@@ -126,7 +126,7 @@ class Driver:
                 left = begin + grace - loop.time()
                 wait = reconnect.delay(attempt, last.retry_after if last else None, grace, left)
                 if core.link is not None and wait >= left:
-                    # Whoever has a token hears in time that it is lost.
+                    # An owner is told in time that its token is lost.
                     await asyncio.sleep(left)
                     wait -= max(0.0, left)
                     core.lose_all("the connection was lost for longer than the hub waits")
@@ -349,7 +349,7 @@ class Driver:
         if content.get("resumed") is not True or not self.core.resume(content):
             # The two sides count differently: something would come twice, or never.
             self.core.lose_all("the hub has read parcels that differ from those sent")
-            raise ConnectionDownError("the hub resumed a link by counts that cannot be")
+            raise ConnectionDownError("the hub resumed a link with impossible counts")
         self.welcomed(reply)
         dropped = content.get("dropped")
         if isinstance(dropped, int) and dropped > 0:
@@ -418,7 +418,7 @@ class Driver:
         elif parcel.name == "ack" and core.link is not None:
             if not core.link.acknowledged(parcel.map()):
                 core.link = None
-                raise ConnectionDownError("the hub says that it has read other parcels than those that were sent")
+                raise ConnectionDownError("the hub reports having read other parcels than were sent")
             core.outbox.wake()
 
     def _acknowledge(self) -> None:

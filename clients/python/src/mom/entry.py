@@ -127,7 +127,7 @@ def _perishes(parcel: Parcel) -> bool:
 def _hands_over(parcel: Parcel) -> bool:
     if parcel.family != "token":
         return False
-    # With a peer it is the owner who accepts a request; without, somebody accepts the owner's offer.
+    # With a peer it is the owner who accepts a request; without, a peer accepts the owner's offer.
     return parcel.name in ("give", "inhibit") or parcel.name == "accept" and "peer" in parcel.map()
 
 

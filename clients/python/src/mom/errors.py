@@ -166,8 +166,8 @@ class LostError(ConnectionDownError):
     """
 
     def __init__(self, what: str, code: str, why: str = "") -> None:
-        lost = f"{what} is lost: it had not left when the connection was lost"
-        unknown = f"{what} had left when the connection was lost: it is unknown whether it was carried out"
+        lost = f"{what} is lost: it had not been sent when the connection was lost"
+        unknown = f"{what} had been sent when the connection was lost: it is unknown whether it was carried out"
         super().__init__((lost if code == "lost" else unknown) + (f" ({why})" if why else ""))
         self._code = code
 
@@ -209,7 +209,7 @@ class AddressError(MomError):
     """What was given as the address of a hub is none."""
 
     def __init__(self, address: str, why: str) -> None:
-        super().__init__(f"{address!r} is not an address of a hub: {why}")
+        super().__init__(f"{address!r} is not the address of a hub: {why}")
 
 
 class LocalError(MomError):

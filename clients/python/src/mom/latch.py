@@ -89,7 +89,7 @@ class Latch:
         return self._held is not None and self._held.word == "own"
 
     def stop_itself(self, why: str) -> Reaction:
-        """Stops by itself, until somebody lifts that."""
+        """Stops by itself, until a peer lifts that."""
         self._held = self._held or Held("own", f"stopped by itself: {why}")
         return Reaction("stop", why)
 
@@ -115,7 +115,7 @@ class Latch:
         if 0 < number <= self._lifted:
             # It was lifted before it came: the cause is an old one. To halt is never wrong.
             return Reaction("halt")
-        self._held = Held("stopped", f"stopped by {by or 'somebody'}" + (f": {reason}" if reason else ""))
+        self._held = Held("stopped", f"stopped by {by or 'a peer'}" + (f": {reason}" if reason else ""))
         return Reaction("stop", self._held.text)
 
     def _unstop(self, up_to: Optional[int]) -> Reaction:

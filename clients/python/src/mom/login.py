@@ -42,7 +42,7 @@ class Key:
         except (ValueError, TypeError):
             private = None
         if not isinstance(private, kinds.Ed25519PrivateKey):
-            text = "this is not a private key of Ed25519 in PEM (-----BEGIN PRIVATE KEY-----)"
+            text = "this is not an Ed25519 private key in PEM (-----BEGIN PRIVATE KEY-----)"
             raise LocalError("bad-encoding", text)
         return cls(private)
 
@@ -57,7 +57,7 @@ class Key:
             raise LocalError("bad-encoding", f"{file}: {error.text}") from None
 
     def to_pem(self) -> str:
-        """The private key in PEM. Whoever reads it can log in as this user: keep it in a file of mode 0600."""
+        """The private key in PEM. Anyone who reads it can log in as this user: keep it in a file of mode 0600."""
         from cryptography.hazmat.primitives import serialization as forms
 
         written = self._private.private_bytes(
@@ -114,7 +114,7 @@ class Credentials:
         if sum(proofs) != 1:
             raise LocalError("bad-content", "give exactly one of password, key, token, certificate and guest")
         if not self.user and (self.password is not None or self.key is not None or self.certificate):
-            raise LocalError("bad-content", "a password, a key and a certificate need the user")
+            raise LocalError("bad-content", "a password, a key or a certificate requires the user")
 
     def __repr__(self) -> str:
         # Secrets do not belong in logs.
@@ -163,7 +163,7 @@ class Credentials:
         """The content of `login answer`; `LocalError` for a hub that is not the one meant."""
         hub, nonce = read_challenge(challenge, _LOGIN)
         if self.key is None:
-            raise LocalError("bad-content", "the hub asks for a key, and the login was by something else")
+            raise LocalError("bad-content", "the hub asks for a key, but the login has none")
         if self.hub_name is not None and self.hub_name != hub:
             raise LocalError("bad-login", f"the hub is {hub!r}, not {self.hub_name!r}: nothing was signed for it")
         signed = b"\0".join([_LOGIN, hub.encode(), self.user.encode(), nonce])
@@ -175,7 +175,7 @@ def read_challenge(challenge: Parcel, context: bytes) -> "tuple[str, bytes]":
     content = challenge.map()
     hub, nonce = content.get("hub"), content.get("nonce")
     if content.get("context") != context.decode() or not isinstance(hub, str):
-        raise LocalError("bad-content", f"the hub's challenge is not one of {context.decode()}")
+        raise LocalError("bad-content", f"the hub's challenge is not one for {context.decode()}")
     if not isinstance(nonce, bytes) or len(nonce) != 32:
-        raise LocalError("bad-content", "the nonce of the hub's challenge has not 32 bytes")
+        raise LocalError("bad-content", "the nonce of the hub's challenge does not have 32 bytes")
     return hub, nonce

@@ -60,9 +60,9 @@ class Device:
         self._saying: Set[asyncio.Future[Any]] = set()
         heartbeat = core.limit("heartbeat", 10_000)
         if heartbeat > _SLOW_HEARTBEAT:
-            text = "the device of %s hears only after %g s that its hub is silent: connect with heartbeat=0.5"
+            text = "the device of %s notices only after %g s that its hub is silent: connect with heartbeat=0.5"
             LOG.warning(text, channel.path, heartbeat * 1.5 / 1000)
-        self._over = "it is not a device of its channel any more"
+        self._over = "it is no longer a device of its channel"
         """Why, once it is so."""
         self._obeying = asyncio.ensure_future(self._obey())
 
@@ -79,7 +79,7 @@ class Device:
         return self._latch.is_stopped
 
     def stop_itself(self, why: str) -> None:
-        """Stops by itself, as at a bumper, until somebody lifts that."""
+        """Stops by itself, as at a bumper, until a peer lifts that."""
         self._take(self._latch.stop_itself(why))
         self._say(self._tell_own_stop())
 
@@ -94,7 +94,7 @@ class Device:
 
     async def leave(self) -> None:
         """Halts, and leaves the channel."""
-        self._halt("it leaves its channel")
+        self._halt("it is leaving its channel")
         await self.channel.leave()
         await self.ended()
 
@@ -114,7 +114,7 @@ class Device:
         if reaction is not None:
             self._take(reaction)
         if isinstance(event, Expelled) and event.peer == self._core.peer:
-            self._over = "it was put out of its channel" + (f": {event.text}" if event.text else "")
+            self._over = "it was expelled from its channel" + (f": {event.text}" if event.text else "")
             LOG.warning("%s: %s", self.channel.path, self._over)
         if isinstance(event, Lagged):
             self._say(self._tell_own_stop())
@@ -129,14 +129,14 @@ class Device:
             self.report()
             self._say(self._tell_own_stop())
         elif isinstance(event, Released):
-            self._halt("its owner has it no more")
+            self._halt("its owner no longer owns it")
             self.report()
         elif isinstance(event, Message):
             self._message(event)
 
     def _link(self, word: str) -> None:
         if word == "stale":
-            self._halt("nothing is heard of the hub")
+            self._halt("the hub is silent")
         elif word != "connected":
             # Of a loss that can be resumed, too: what was said meanwhile comes when it is.
             self._latch.lose()

@@ -52,10 +52,10 @@ async def report(
             try:
                 return await asyncio.wait_for(_post(replace(found, door=TUNNEL, tls=False, port=port), body), _PATIENCE)
             except (OSError, EOFError, asyncio.TimeoutError) as error:
-                LOG.debug("nobody takes a report at %s:%d: %r", found.host, port, error)
+                LOG.debug("no report can be sent to %s:%d: %r", found.host, port, error)
     except Exception as error:
-        # Whoever reports an error must not get another one.
-        LOG.debug("a report fails: %r", error)
+        # Reporting an error must not raise another one.
+        LOG.debug("sending a report failed: %r", error)
     return False
 
 

@@ -133,7 +133,7 @@ def check_pin(address: Address, trust: Trust, tls: Any) -> None:
     shown = hashlib.sha256((tls.getpeercert(True) if tls else None) or b"").hexdigest()
     if shown != pin:
         raise LocalError(
-            "bad-login", f"{address} has another certificate than the one that is pinned: sha256:{shown}; nothing was sent"
+            "bad-login", f"{address} does not have the pinned certificate, but sha256:{shown}; nothing was sent"
         )
 
 
@@ -178,7 +178,7 @@ def _proxy(address: Address) -> Optional[SplitResult]:
         return None
     proxy = urlsplit(url if "://" in url else f"http://{url}")
     if proxy.scheme != "http" or not proxy.hostname:
-        raise LocalError("not-taken", f"HTTPS_PROXY is {proxy.scheme}://{proxy.hostname}: only proxies of http:// are known")
+        raise LocalError("not-taken", f"HTTPS_PROXY is {proxy.scheme}://{proxy.hostname}: only http:// proxies are supported")
     return proxy
 
 
@@ -201,7 +201,7 @@ async def _through(proxy: SplitResult, address: Address) -> socket.socket:
             byte = await loop.sock_recv(stream, 1)
             said += byte
             if not byte or len(said) > 16_384:
-                raise ConnectionDownError(f"{address}: the proxy {proxy.hostname}:{port} gives no answer")
+                raise ConnectionDownError(f"{address}: the proxy {proxy.hostname}:{port} does not answer")
         status = said.split(b"\r\n")[0].decode("latin-1").split(" ", 1)[-1]
         if not status.startswith("2"):
             raise ConnectionDownError(f"{address}: the proxy {proxy.hostname}:{port} answers {status}")

@@ -144,7 +144,7 @@ class TunnelTransport(Transport):
     def abort(self) -> None:
         for task in self._tasks:
             task.cancel()
-        self._break_off("it was ended here")
+        self._break_off("it was closed here")
 
     def _break_off(self, why: str) -> None:
         self._broken = self._broken or f"the tunnel broke off: {why}"
@@ -162,7 +162,7 @@ class TunnelTransport(Transport):
                 try:
                     status, headers, _ = await asyncio.wait_for(requests.whole("POST", path, data), _PATIENCE)
                     if status in (502, 504):
-                        raise EOFError("a proxy does not get through")
+                        raise EOFError("a proxy does not pass it on")
                 except (*_FAILED, LocalError) as error:
                     requests.drop()
                     pause = next(failures, None)
@@ -245,7 +245,7 @@ class TunnelTransport(Transport):
                 await self._changes()
 
     async def _next(self, requests: Requests) -> bytes:
-        """More of the stream; nothing at its end, or when somebody between holds it back: then it is asked for piece by piece."""
+        """More of the stream; nothing at its end, or when a proxy holds it back: then it is asked for piece by piece."""
         more = asyncio.ensure_future(requests.more())
         try:
             if self._polled:

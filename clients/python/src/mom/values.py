@@ -70,7 +70,7 @@ def _pack(packer: Any, value: Value, depth: int) -> None:
         packer.pack(int(value))
     elif isinstance(value, float):
         if not math.isfinite(value):
-            raise _not_encodable(f"{value} is not a number on the wire: leave it out, or send null")
+            raise _not_encodable(f"{value} is not a number that can be sent: leave it out, or send null")
         packer.pack(float(value))
     elif isinstance(value, str):
         check_text(value)
@@ -82,7 +82,7 @@ def _pack(packer: Any, value: Value, depth: int) -> None:
         packer.pack_ext_type(_TIME, struct.pack(">Iq", micros * 1000, seconds))
     else:
         kind = type(value).__name__
-        raise _not_encodable(f"a {kind} has no form on the wire: see mom.values for the types that have")
+        raise _not_encodable(f"a {kind} cannot be sent: see mom.values for the types that can")
 
 
 def _pack_container(packer: Any, value: Value, depth: int) -> None:
@@ -104,7 +104,7 @@ def check_text(text: str) -> None:
     """Refuses what is not text of XML 1.0, which all forms share."""
     found = _NOT_XML.search(text)
     if found:
-        raise _not_encodable(f"the character {found.group()!r} may not stand in a string: send bytes")
+        raise _not_encodable(f"the character {found.group()!r} is not allowed in a string: send bytes")
 
 
 def unpack(data: bytes) -> Value:
@@ -116,21 +116,21 @@ def unpack(data: bytes) -> Value:
     except LocalError:
         raise
     except Exception as error:  # msgpack has a dozen kinds of them
-        raise LocalError("bad-content", f"no value of MessagePack: {error}") from error
+        raise LocalError("bad-content", f"not valid MessagePack: {error}") from error
     return _checked(value)
 
 
 def _map(pairs: List[Tuple[str, Value]]) -> Dict[str, Value]:
     known = dict(pairs)
     if len(known) != len(pairs):
-        raise LocalError("bad-content", "a key of a map stands there twice")
+        raise LocalError("bad-content", "a key is twice in a map")
     if not all(isinstance(key, str) for key in known):
         raise LocalError("bad-content", "a key of a map is not a string")
     return known
 
 
 def _no_extension(code: int, data: bytes) -> Value:
-    raise LocalError("bad-content", f"the extension type {code} of MessagePack is not a value of MOM")
+    raise LocalError("bad-content", f"MOM has no MessagePack extension type {code}")
 
 
 def _checked(value: Value, depth: int = 0) -> Value:
@@ -143,7 +143,7 @@ def _checked(value: Value, depth: int = 0) -> Value:
     elif isinstance(value, list):
         value[:] = [_checked(member, depth + 1) for member in value]
     elif isinstance(value, float) and not math.isfinite(value):
-        raise LocalError("bad-content", f"{value} is not a number of MOM")
+        raise LocalError("bad-content", f"{value} is not a valid number")
     elif isinstance(value, int) and value >= 1 << 63:
         raise LocalError("bad-content", f"{value} does not fit into 64 bits")
     elif isinstance(value, msgpack.Timestamp):

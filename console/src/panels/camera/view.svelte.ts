@@ -162,7 +162,7 @@ export class CameraView {
         break;
       case "settings-in-use":
       case "settings-changed":
-        // The same again is no news, which would replace what somebody types.
+        // A repeated state must not replace what the user types.
         if (JSON.stringify(settingsOf(said)) !== JSON.stringify(this.settings)) this.settings = settingsOf(said);
         if (name === "settings-changed") this.changedBy = text(said, "by");
         break;

@@ -23,7 +23,7 @@ export function append(lines: readonly ChatLine[], line: Omit<ChatLine, "key">):
   return [...lines.slice(-(MOST - 1)), { ...line, key }];
 }
 
-/** What somebody said, whatever it is. */
+/** What a peer said, whatever it is. */
 export function textOf(content: Plain | undefined): string {
   if (typeof content === "string") return visibleLines(content);
   if (content === undefined || content === null) return "";

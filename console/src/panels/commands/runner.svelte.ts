@@ -86,7 +86,7 @@ export class CommandList {
     return pose || !Object.keys(state).length ? "arm" : undefined;
   }
 
-  /** Somebody looks at it until the function that this gives is called. Unseen, nothing more is sent. */
+  /** It is in view until the function that this gives is called. Unseen, nothing more is sent. */
   attach(): () => void {
     this.#attached += 1;
     this.#watching ??= this.device.start();

@@ -18,7 +18,7 @@ async function hubs(): Promise<string | null | undefined> {
 
 export class Upgrade {
   newer = $state(false);
-  /** Until the page is loaded anew by itself; not while somebody drives, nor after that: it may have lent the robot to an agent. */
+  /** Until the page is loaded anew by itself; not while the user drives, nor after that: it may have lent the robot to an agent. */
   seconds = $state<number | undefined>(undefined);
   #later = false;
   #drove = false;

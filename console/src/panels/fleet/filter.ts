@@ -37,7 +37,7 @@ function testOf(word: string): Test {
   const named = WORDS[word];
   if (named) return named;
   if (/^[\d,–-]+$/.test(word)) {
-    // A comma at the end is what somebody is typing.
+    // A comma at the end is still being typed.
     const read = rangesOf(word.replace(/[,–-]+$/, ""));
     if ("ranges" in read) return ({ unit }) => read.ranges.some(([first, last]) => unit >= first && unit <= last);
   }

@@ -69,7 +69,7 @@ export class FleetState {
       const { unit, x, y, born } = robot;
       this.#teller.tells(event as Message);
       const before = robots.get(unit);
-      // Said again to whoever comes later.
+      // Said again to later members.
       if (before && before.born > born) continue;
       robots.set(unit, robot);
       if (x !== undefined && y !== undefined && robot.state !== "lost") this.trails.add(unit, x, y, born);

@@ -103,7 +103,7 @@ export class Driver {
     });
     listen("focus", () => (this.#focused = true));
     listen("pagehide", () => this.#letGo());
-    // Whoever begins to type does not drive.
+    // A user who begins to type does not drive.
     listen("focusin", () => this.#keys.size && this.#typing() && this.#freeKeys());
     listen("gamepadconnected", () => this.#findPads());
     listen("gamepaddisconnected", () => this.#findPads());

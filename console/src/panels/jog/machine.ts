@@ -105,7 +105,7 @@ function isStale({ reason }: Why, inputs: Inputs): boolean {
 /** A rest with its reason, as far as that still holds. */
 function rest(why: Why | undefined, inputs: Inputs): Drive {
   if (!why) return REST;
-  // Whoever has pressed STOP is told that it holds, and no more when it is let go.
+  // A user who has pressed STOP is told that it holds, and no more when it is let go.
   if (why.reason === "stop" && inputs.stopped) return { phase: "rest", why: { reason: "stopped", text: undefined } };
   return isStale(why, inputs) ? REST : { phase: "rest", why };
 }

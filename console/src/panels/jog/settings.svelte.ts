@@ -1,4 +1,4 @@
-// How somebody drives: kept in this browser. What makes driving less safe is not kept.
+// How the user drives: kept in this browser. What makes driving less safe is not kept.
 import { STANDARD, type Mapping, mappingOf } from "./pad.js";
 
 const PLACE = "mom-jog";

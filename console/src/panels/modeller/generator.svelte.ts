@@ -94,7 +94,7 @@ export class Generator {
         clearTimeout(timer);
         timer = setTimeout(() => fail(silent), PATIENCE);
         try {
-          // Whoever comes too late for the answer is not asked.
+          // A middle that joins too late to answer is not asked.
           const sent = await hub.call("send", path, ASK, ask, { echo: false, expires: PATIENCE });
           id = sent.id;
           if (sent.delivered === 0) fail(local("no-answer", t.absent(robotOf(path))));

@@ -43,7 +43,7 @@ export function snapshot(content: Plain | undefined): Model {
   return { seq: number(all, "seq"), told, gap: false };
 }
 
-/** With that of a message `objects-changed`: what differs, null where something is no more. */
+/** With that of a message `objects-changed`: what differs, null where something was removed. */
 export function changed(model: Model, content: Plain | undefined): Model {
   const all = fields(content);
   const seq = number(all, "seq");

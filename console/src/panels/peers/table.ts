@@ -21,7 +21,7 @@ export interface Column {
   number: boolean;
   /** The words of a cell. */
   cell(row: PeerRow, hubTime: number | undefined): string;
-  /** Whoever has most of a number comes first, words are in their own order. */
+  /** The peer with the most of a number comes first, words are in their own order. */
   compare(one: PeerRow, other: PeerRow): number;
   /** What the heading means, where the word alone does not say it. */
   why?: string;
@@ -50,7 +50,7 @@ export const columns: readonly Column[] = [
     heading: texts.peers.more.since,
     number: true,
     cell: ({ stats }, hubTime) => (stats?.since === undefined || hubTime === undefined ? "" : duration(Math.max(0, Math.floor((hubTime - stats.since) / 1000) * 1000))),
-    // Whoever is here longest has the smallest time.
+    // The peer that is here longest has the smallest time.
     compare: (a, b) => (a.stats?.since ?? Infinity) - (b.stats?.since ?? Infinity) || 0,
   },
   { id: "age", heading: texts.peers.more.age, number: true, cell: ({ heard }) => (heard ? age(heard.age, heard.error) : ""), compare: (a, b) => most(a.heard?.age, b.heard?.age), why: texts.peers.ageWhy },

@@ -102,7 +102,7 @@ export class SimulacrumState {
       const packet = packetOf(message);
       if (packet) this.#packet(packet, message.arrived);
       const element = packet ? undefined : elementOf(message, elements.get(message.name)?.heard ?? this.#heard++);
-      // Said again to whoever comes later.
+      // Said again to later members.
       if (!element || (elements.get(element.name)?.born ?? 0) > element.born + 60_000) continue;
       elements.set(element.name, element);
       changed = true;

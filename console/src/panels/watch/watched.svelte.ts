@@ -1,4 +1,4 @@
-// A channel that somebody looks at: what is said there, thinned out where nobody could read it.
+// A channel that the user looks at: what is said there, thinned out where nobody could read it.
 import { fields, number, text } from "../../hub/fields.js";
 import type { Hub } from "../../hub/hub.svelte.js";
 import { Bounded, Meter, type Said, lineOf, sizeOf } from "../../hub/said.js";

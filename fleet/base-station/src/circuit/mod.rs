@@ -1,6 +1,6 @@
 //! The state machine of one robot's connection (W10, W11), without IO and without a clock.
 //!
-//! Times are microseconds of one clock that never goes back. Whoever drives a [`Circuit`] tells it what happens
+//! Times are microseconds of one clock that never goes back. The caller of a [`Circuit`] tells it what happens
 //! ([`Circuit::take`]), does what it asks for ([`Circuit::poll`], until there is nothing more), and takes
 //! [`Input::Time`] to it at [`Circuit::next_wake`].
 
@@ -45,7 +45,7 @@ const FLOOD: i64 = 3 * SECOND;
 /// What happened.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Input<'a> {
-    /// Somebody wants a connection.
+    /// A caller wants a connection.
     Connect,
     /// Nobody wants one any more.
     Disconnect,
@@ -445,7 +445,7 @@ impl Circuit {
         ends.min()
     }
 
-    /// Whoever drives this was stopped or had no processor if nothing was taken when it was due.
+    /// The caller was stopped or had no processor if nothing was taken when it was due.
     fn note_late(&mut self, now: i64) {
         let due = self.next_wake().map(|due| due.max(self.taken));
         if let (Phase::Up(up), Some(due)) = (&mut self.phase, due) {

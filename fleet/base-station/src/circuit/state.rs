@@ -14,7 +14,7 @@ pub enum State {
     /// A connection is wanted and there is none: one is being made, or the next attempt waits for its time.
     Trying,
     /// The TCP connection is up, and the robot does not take commands: it has said nothing yet (a NULL is under way; a
-    /// listening robot that serves somebody else lets TCP connect too), or only who holds it, or takes no more bytes.
+    /// listening robot that serves another station lets TCP connect too), or only who holds it, or takes no more bytes.
     Connected,
     /// The TCP connection is up, the robot has said something, and bytes can be written: it takes commands.
     Writable,
@@ -86,7 +86,7 @@ impl fmt::Display for End {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Refusal {
-    /// There is no connection, or the robot has said nothing on it yet. A robot that serves somebody else would carry
+    /// There is no connection, or the robot has said nothing on it yet. A robot that serves another station would carry
     /// out what is sent now at some later time.
     #[error("it is {0}, so it takes no commands")]
     NotWritable(State),

@@ -171,7 +171,7 @@ fn unknown_words_name_the_nearest() {
         (
             "ö; wiat 5",
             UnknownWord,
-            "line 1, column 1: there is no statement `ö`; there are `all`, `wait`, `repeat`, `end`, `on`",
+            "line 1, column 1: there is no statement `ö`; expected one of `all`, `wait`, `repeat`, `end`, `on`",
         ),
         (
             "wait 1\n wiat 5",

@@ -272,7 +272,7 @@ async fn where_nobody_listens_it_keeps_trying_and_tells_why() {
 
 #[tokio::test]
 async fn a_robot_that_serves_somebody_else_is_connected_and_takes_no_commands() {
-    // The operating system connects for whoever listens, served or not.
+    // The operating system connects for any listener, served or not.
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let station = station(&[listener.local_addr().unwrap().port()], Options::default());
     station.connect_all();

@@ -188,7 +188,7 @@ fn a_stop_that_the_driver_refuses_is_tried_until_it_stands() {
         )
     };
     let moves = |robot: &mut Robot, now| robot.status(now).map(|status| status.moving);
-    // Whoever stops it: its base station, the loss of that, and the watchdog.
+    // What stops it: its base station, the loss of that, and the watchdog.
     type Stop = fn(&mut Robot);
     let stops: [(Stop, WheelTime); 3] = [
         (

@@ -34,7 +34,7 @@ impl<M: Machine> CommandQueue<M> {
         self.waits_until = None;
         let why = match self.machine.is_reached() {
             true => "it still moves as its old owner had it move",
-            false => "it cannot be reached, so that nobody knows whether it stands",
+            false => "it cannot be reached, so it is unknown whether it is at rest",
         };
         let text = format!(
             "{} is changing hands, and {why} {} ms after the command",

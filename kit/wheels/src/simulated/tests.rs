@@ -337,7 +337,7 @@ fn a_fleet_stands_on_its_floor_without_overlap() {
     assert_eq!(fleet_floor(u16::MAX).width, 256.0 * CELL);
 }
 
-/// What somebody may do to a robot, and how many µs later.
+/// What may be done to a robot, and how many µs later.
 #[derive(Debug, Clone)]
 enum Deed {
     Motors(i16, i16),
@@ -420,7 +420,7 @@ proptest! {
     }
 }
 
-/// However late somebody asks: what its program does not prolong ends at its time.
+/// However late it is asked for: what its program does not prolong ends at its time.
 #[test]
 fn motors_stop_when_they_are_held_no_longer() {
     let at = |asked: &[WheelTime]| {

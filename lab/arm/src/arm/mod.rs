@@ -24,7 +24,7 @@ pub use mom_device::{MAX_WAITING, STATE_PERIOD};
 /// The arm.
 ///
 /// A driver calls [`Arm::advance`] whenever [`Arm::next_wake`] is due, and the other methods when
-/// somebody asks for what they do. Every method that takes `now` first advances to it; a time before
+/// they are needed. Every method that takes `now` first advances to it; a time before
 /// the latest one counts as the latest. Everything that happens is reported in `events`, in order, and
 /// every accepted command ends in exactly one `finished` or `error`. Its rules are those of every device's [`CommandQueue`]: at a hub
 /// the same queue is driven by a [`DeviceServer`](mom_device::DeviceServer).

@@ -117,7 +117,7 @@ impl Simulated {
     /// Moves all to this time. After an error the hand is where nothing is touched yet.
     fn tick(&mut self, time: ArmTime) -> Result<(), DeviceError> {
         let seconds = (time - self.ticked).max(0) as f64 / 1e6;
-        // Where it was at the last tick, whoever has looked since.
+        // Where it was at the last tick, however often it was read since.
         self.take_posture(self.ticked);
         self.ticked = time;
         let before = (self.posture, self.blocks.clone());
@@ -256,7 +256,7 @@ impl Controller for Simulated {
                 true if self.lost.is_none() => {
                     self.lose_link(self.heard, change);
                     if busy {
-                        let error = link_error("the controller does not answer any more");
+                        let error = link_error("the controller no longer answers");
                         return Progress::Failed(self.heard, error);
                     }
                 }

@@ -16,7 +16,7 @@ use crate::status::Status;
 /// How the owner changes.
 #[derive(Clone, Copy, Debug)]
 enum Change {
-    /// Somebody of a higher level takes it.
+    /// A user of a higher level takes it.
     Preempted,
     /// Nobody renewed it, its owner broke it or was cut off: the hub halts the arm.
     Lapsed,
@@ -235,7 +235,7 @@ fn a_hand_over_by_agreement_lets_the_statement_end_and_the_arm_stand() {
              > state free at rest
              > status bob/1 executing 1/1"
         ));
-        // What comes meanwhile and takes control away ends it at once, whoever ordered it.
+        // What comes meanwhile and takes control away ends it at once, regardless of who ordered it.
         for (line, fence) in [("hub halt", 6), ("released 6", 6), ("grabbed 7", 7)] {
             check(&format!(
                 "{begun}

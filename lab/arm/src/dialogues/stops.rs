@@ -52,7 +52,7 @@ fn one_that_is_put_out_of_its_channel_halts_and_ends_what_it_was_told() {
     stage.act("alice command 1 5: move 300 0 300 0 0; home");
     stage.pass(500);
     stage.out.clear();
-    // Another one is no matter of this one.
+    // Another one does not concern this one.
     stage.act("expelled bob");
     assert!(stage.out.is_empty() && stage.server.state().moving);
     stage.act("expelled robot");

@@ -166,7 +166,7 @@ fn nobody_but_the_commander_is_granted_the_zone_where_the_arm_stands() {
     assert!(why.starts_with("the arm stands in /zone/right"), "{why}");
     assert_eq!(stage.grant("/zone/right", "alice"), Ok(()));
     stage.heard();
-    // It does not move there, not even its jaws, until somebody who owns the zone says so.
+    // It does not move there, not even its jaws, until the zone's owner says so.
     play(
         &mut stage,
         &[

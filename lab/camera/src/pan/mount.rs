@@ -214,7 +214,7 @@ mod tests {
         }
     }
 
-    /// What somebody may do to a mount, and how many µs later.
+    /// What may be done to a mount, and how many µs later.
     #[derive(Debug, Clone)]
     enum Deed {
         Submit(String),

@@ -561,7 +561,7 @@ fn a_gap_is_a_stop_of_which_it_tells_the_hub() {
     assert_eq!(state.get("stop"), Some(&Value::Int(3)));
 }
 
-/// A configuration guards the channel from now on, by a token whose fences are lower; or only that somebody owns that is heard.
+/// A configuration guards the channel from now on, by a token whose fences are lower; or only that it has an owner is heard.
 #[test]
 fn what_was_sent_without_a_fence_ends_where_a_guard_appears() {
     let guard = Map::new().with("token", "/camera/key").with("owner", "bob");

@@ -38,7 +38,7 @@ pub const REQUEST_REFUSED: &str = "request-refused";
 pub const SETTINGS: &str = "settings";
 /// The message that tells all the new settings.
 pub const SETTINGS_CHANGED: &str = "settings-changed";
-/// The message that tells whoever asked the settings in use.
+/// The message that tells the requester the settings in use.
 pub const SETTINGS_IN_USE: &str = "settings-in-use";
 /// The message that a change was refused.
 pub const SETTINGS_REFUSED: &str = "settings-refused";

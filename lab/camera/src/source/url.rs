@@ -39,7 +39,7 @@ pub enum BadUrl {
     )]
     Syntax(String),
     /// Another protocol.
-    #[error("a camera's URL begins with http:// or https://")]
+    #[error("a camera's URL must begin with http:// or https://")]
     Scheme,
     /// A user or a password that cannot be sent.
     #[error(
@@ -96,12 +96,14 @@ impl FromStr for SourceUrl {
         }
         let authority = uri.authority().map_or("", |authority| authority.as_str());
         if uri.host().is_none_or(str::is_empty) {
-            return Err(BadUrl::Syntax("it names no host".to_owned()));
+            return Err(BadUrl::Syntax("the address has no host".to_owned()));
         }
         // A port that is none is left out by the parser.
         let place = authority.rsplit('@').next().unwrap_or_default();
         if uri.port_u16().is_none() && !place.ends_with(uri.host().unwrap_or_default()) {
-            return Err(BadUrl::Syntax("its port is none".to_owned()));
+            return Err(BadUrl::Syntax(
+                "its port is not a number from 0 to 65535".to_owned(),
+            ));
         }
         let authorization = match authority.rsplit_once('@') {
             Some((login, _)) => Some(basic(login)?),

@@ -18,7 +18,7 @@ mod tests;
 mod users;
 mod write;
 
-/// The message with all objects, to whoever joins or asks.
+/// The message with all objects, to a peer that joins or asks.
 pub const OBJECTS: &str = "objects";
 /// The message with what has changed, to all.
 pub const CHANGED: &str = "objects-changed";
@@ -45,7 +45,7 @@ const UNANSWERED: i64 = 5_000_000;
 const FUTURE: i64 = 1_000_000;
 /// µs between two tellings that objects were seen where they were.
 const SEEN_PERIOD: i64 = 1_000_000;
-/// What alone is no news at once.
+/// What is not reported at once by itself.
 const MINOR: [&str; 4] = ["name", "seen", "error", "cameras"];
 
 /// A block that the model looks for.
@@ -380,7 +380,7 @@ impl ModelServer {
         Map::new().with("seq", self.seq).with("objects", objects)
     }
 
-    /// A message to whoever sent `to`.
+    /// A message to the sender of `to`.
     fn answer(&self, to: &Parcel, content: Result<Map, WireError>, refused: &str) -> Parcel {
         let asker = to.sender.clone().unwrap_or_default();
         let (name, content) = match content {

@@ -157,7 +157,7 @@ fn what_is_seen_is_told_to_all_and_then_only_what_differs() {
     let mut bench = Bench::new();
     let told = bench.show(1.0, &lab());
     assert!(names(&told).iter().all(|name| *name == CHANGED) && !told.is_empty());
-    // Whoever follows has what the server has.
+    // A follower has what the server has.
     let mut follower = Objects::default();
     told.iter().for_each(|parcel| follower.apply(&parcel.value()));
     assert_eq!(follower.len(), 3);
@@ -406,8 +406,8 @@ fn nonsense_is_not_written() {
     bench.grab("/robot/token", "alice");
     let new = || Map::new().with("name", "cup").with("x", 5).with("y", 6);
     for (content, words) in [
-        (new().with("name", ""), "name is 1 to 40"),
-        (new().with("name", "a/b"), "name is 1 to 40"),
+        (new().with("name", ""), "name must be 1 to 40"),
+        (new().with("name", "a/b"), "name must be 1 to 40"),
         (new().with("x", "far"), "x is a number"),
         (new().with("z", 1e9 as i64), "z is a number"),
         (new().with("size", 0), "size is a number"),

@@ -125,7 +125,7 @@ pub(super) fn name_of(content: &Value) -> Result<&str, WireError> {
     match (1..=LONGEST).contains(&name.chars().count()) && name.chars().all(plain) {
         true => Ok(name),
         false => bad(
-            format!("name is 1 to {LONGEST} letters, digits, - and _"),
+            format!("name must be 1 to {LONGEST} letters, digits, - and _"),
             "content/name",
         ),
     }
@@ -138,7 +138,11 @@ fn change(object: &mut Object, content: &Value) -> Result<(), WireError> {
         Some(value) => as_number(value)
             .filter(|number| allowed.contains(number))
             .ok_or_else(|| {
-                let text = format!("{key} is a number from {} to {}", allowed.start(), allowed.end());
+                let text = format!(
+                    "{key} must be a number from {} to {}",
+                    allowed.start(),
+                    allowed.end()
+                );
                 WireError::new(Code::BAD_CONTENT, text).slot(&format!("content/{key}"))
             }),
     };

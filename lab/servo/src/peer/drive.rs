@@ -141,7 +141,7 @@ impl Drive {
             tokio::select! {
                 event = self.links.events.next() => self.note(&event.ok_or_else(closed)?)?,
                 seen = self.links.seen.next() => {
-                    let seen = seen.ok_or_else(|| VerbFailure::plain("there is no camera any more"))?;
+                    let seen = seen.ok_or_else(|| VerbFailure::plain("there is no longer a camera"))?;
                     self.see(seen);
                 }
                 () = sleep(TICK) => {}
@@ -195,7 +195,7 @@ impl Drive {
                 if let Ok(state) = from_value::<RobotState>(parcel.value()) {
                     self.holding = state.holding.is_some();
                     self.moves = state.moving;
-                    // A state that is told again, as to who comes or for a new owner, is no newer: cameras show it already.
+                    // A state that is told again, as to who comes or for a new owner, is not newer: cameras show it already.
                     if state.seq != self.seq {
                         self.seq = state.seq;
                         self.stated = hub_now(&self.links.client) - self.age(parcel);
@@ -264,7 +264,7 @@ impl Drive {
                 let name = error.get("name").and_then(Value::as_str).unwrap_or_default();
                 // The robot has not come to rest after its last owner: soon it has.
                 let name = if name == "changing-hands" { "busy" } else { name };
-                // A velocity that ended because the arm's program stood still, not because somebody has halted the arm.
+                // A velocity that ended because the arm's program stood still, not because the arm was halted.
                 let retry = error.get("retry").and_then(Value::as_bool) == Some(true);
                 let name = if name == "halted" && retry {
                     STOOD_STILL

@@ -309,7 +309,7 @@ async fn give_back(channel: &Channel, drive: Option<Drive>, holding: Holding, re
     };
     let report = match ended {
         Ok(()) => report,
-        // Whoever is near has to know.
+        // People near the robot have to know.
         Err(failure) => {
             let state = match report.state.as_str() {
                 "aligned" => "failed",

@@ -1,4 +1,4 @@
-//! The agent: hears in its channel what it is to do, takes the robot's token from whoever asked, works, and gives it back.
+//! The agent: hears in its channel what it is to do, takes the robot's token from the peer that asked, works, and gives it back.
 //!
 //! In the channel, `/servo`:
 //!
@@ -59,7 +59,7 @@ impl Default for ServoOptions {
     }
 }
 
-/// What somebody asked for.
+/// What a peer asked for.
 #[derive(Debug, Clone)]
 pub(crate) struct Order {
     /// Who.

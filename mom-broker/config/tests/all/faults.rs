@@ -93,7 +93,7 @@ fn wrong_safe_states() {
     check(
         &format!("{token}¦safe = {{ channel = \"/c\", name = \"stop\" }}\n{channel}{guard}"),
         "contexts[0].safe.name",
-        "leave safe out for halt",
+        "leave safe out to send halt",
     );
 }
 

@@ -147,7 +147,7 @@ fn wrong_keys_and_types() {
     check(
         "[[contexts]]\npath = \"/a\"\nkind = \"channel\"\n¦color = 1\n",
         "contexts[0].color",
-        "there is no key `color`; there are `path`",
+        "there is no key `color`; expected one of `path`",
     );
     check("[limits]\nparcel = 1\n¦parcel = 2\n", "parcel", "duplicate");
     check("log = \"a\"\n¦log \"b\"\n", "log \"b\"", "");
@@ -299,7 +299,7 @@ fn listeners_that_contradict_themselves() {
         (
             "proxies = []",
             "proxies",
-            "there are `address`, `takes`, `tls`, `proxy`",
+            "expected one of `address`, `takes`, `tls`, `proxy`",
         ),
         (
             "proxy = [\"10.0.0.0/33\"]",

@@ -44,7 +44,7 @@ const QUEUE: usize = 16 * 1024;
 /// How long a stopping broker waits for its facts to be durable.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// How long whoever reads the log waits for what was just noted.
+/// How long a reader of the log waits for what was just noted.
 const SOON: Duration = Duration::from_secs(1);
 
 /// Details of a connection that its facts do not carry.
@@ -115,7 +115,7 @@ impl AuditLog {
             Err(TrySendError::Full(_)) => drop(self.shared.lost.fetch_add(count, Ordering::Relaxed)),
             Err(TrySendError::Disconnected(_)) => {
                 if !self.dead.swap(true, Ordering::Relaxed) {
-                    tracing::error!("the audit log's writer has ended: nothing is audited any more");
+                    tracing::error!("the audit log's writer has ended: auditing has stopped");
                 }
             }
         }

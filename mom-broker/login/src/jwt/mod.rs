@@ -82,7 +82,7 @@ impl Verifier {
         let algorithms = algorithms(&config.algorithms).map_err(wrong("algorithms"))?;
         for (key, text) in [("issuer", &config.issuer), ("audience", &config.audience)] {
             if text.is_empty() {
-                return Err(wrong(key)(format!("{key} is empty; a token has to name it")));
+                return Err(wrong(key)(format!("{key} is empty; a token must name it")));
             }
         }
         let key = read_key(algorithms[0].family(), config.key.text()).map_err(wrong("key"))?;

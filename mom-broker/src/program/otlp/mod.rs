@@ -1,7 +1,7 @@
 //! Export of spans by OTLP: a collector gets the spans of messages that are part of a trace, over HTTP.
 //!
-//! A span that ends goes into a bounded queue, or is counted as lost; a thread of its own sends what is in there. So whoever
-//! serves a connection never waits for a collector, and one that does not answer costs that thread alone.
+//! A span that ends goes into a bounded queue, or is counted as lost; a thread of its own sends what is in there. So
+//! the task of a connection never waits for a collector, and one that does not answer costs that thread alone.
 
 mod layer;
 mod sending;

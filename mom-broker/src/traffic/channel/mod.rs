@@ -151,7 +151,7 @@ impl Channel {
         state.follow_history(&old, clock)
     }
 
-    /// Empties the route of a channel that is no more: nobody sends there, and no guarded message that still
+    /// Empties the route of a deleted channel: nobody sends there, and no guarded message that still
     /// waits leaves any outbox, because nobody will tell this channel when its token changes hands. Gives its path.
     pub(crate) fn end(&self) -> Path {
         let mut state = self.state.lock();
@@ -192,7 +192,7 @@ impl Channel {
 }
 
 impl State {
-    /// Ends the thinning that another route does not know: whoever has left hears nothing any more, and whoever wants
+    /// Ends the thinning that another route does not know: a member that has left hears nothing more, and one that wants
     /// something else than before hears at once what was held back.
     fn settle_thinning(&self, route: &Route) {
         if !self.thins {
@@ -208,7 +208,7 @@ impl State {
         }
     }
 
-    /// The receivers among the members of another route, by their position among the members of this one; whoever is no
+    /// The receivers among the members of another route, by their position among the members of this one; a peer that is not a
     /// member any more is left out.
     fn translate(&self, other: &Route, receivers: Receivers) -> Receivers {
         let here = |place: usize| self.route.position(other.members.get(place)?.peer);

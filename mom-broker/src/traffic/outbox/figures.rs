@@ -143,7 +143,7 @@ impl Outbox {
             heard: self.clock.now().saturating_sub(at),
             round_trip: (round_trip > 0).then_some(round_trip),
             queued,
-            // Whoever writes never waits for the link.
+            // A writer never waits for the link.
             sent: {
                 let way = self.way();
                 let saved = way.writer.as_ref().map_or(0, |writer| writer.saved());

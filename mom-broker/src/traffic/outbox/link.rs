@@ -21,7 +21,7 @@ pub(super) struct LinkLedger {
 
 /// What knows the paths of contexts.
 pub(crate) trait Paths: std::fmt::Debug + Send + Sync {
-    /// The path of a channel, none if it is no more.
+    /// The path of a channel, none if it was deleted.
     fn path(&self, number: ContextNumber) -> Option<Path>;
 }
 
@@ -147,7 +147,7 @@ impl Outbox {
         };
         if form != self.form() {
             link.paths = Some(paths);
-            // Whoever encodes for it from here on does so in the new form.
+            // Senders that encode for it from here on do so in the new form.
             self.form.store(place_of(form), Ordering::Relaxed);
             queue.change_form(form);
         }

@@ -1,6 +1,6 @@
 //! The way out to one peer: a bounded queue and the writer that empties it.
 //!
-//! Whoever puts parcels in also tries to write them, in the same turn: on an idle link that saves waking a
+//! A sender that puts parcels in also tries to write them, in the same turn: on an idle link that saves waking a
 //! task, which costs more than the write. What the link does not take at once is the writer's.
 
 mod figures;
@@ -134,15 +134,15 @@ pub(crate) struct Closing {
     pub(crate) error: Option<WireError>,
 }
 
-/// The way to the link while somebody has it who does not write. Others that come to write meanwhile leave it to
-/// whoever has it: what they would have written is seen to when it is let go.
+/// The way to the link while a task that does not write has it. Others that come to write meanwhile leave it to
+/// that task: what they would have written is seen to when it is let go.
 struct HeldWay<'a> {
     // Let go before the other is dropped.
     way: MutexGuard<'a, Way>,
     _after: AfterWay<'a>,
 }
 
-/// Looks whether somebody has left something to write, when it is dropped.
+/// Looks for something left to write, when it is dropped.
 struct AfterWay<'a>(&'a Outbox);
 
 impl Deref for HeldWay<'_> {
@@ -197,7 +197,7 @@ impl Outbox {
         FORMS[usize::from(self.form.load(Ordering::Relaxed))]
     }
 
-    /// Puts a packet in. True the first time since the last [`Outbox::flush`], and for what is urgent: then somebody has
+    /// Puts a packet in. True the first time since the last [`Outbox::flush`], and for what is urgent: then a task has
     /// to call it.
     pub(crate) fn push(&self, packet: Arc<Packet>) -> (Taken, bool) {
         let mut queue = self.queue.lock();
@@ -208,7 +208,7 @@ impl Outbox {
         let urgent = packet.lane.is_urgent();
         let taken = queue.push(packet, &self.clock);
         drop(queue);
-        // Whoever touched it before may take its time, which nothing urgent has.
+        // Earlier writers may take their time, which nothing urgent has.
         let first = !self.touched.swap(true, Ordering::SeqCst) || urgent;
         // Pairs with the fence in `flush_batch`: either that flush sees this parcel, or this one gets the lock.
         fence(Ordering::SeqCst);
@@ -442,7 +442,7 @@ impl Outbox {
         }
     }
 
-    /// Waits until there is something to write: somebody says so, or a turn comes.
+    /// Waits until there is something to write: it is woken, or a turn comes.
     async fn woken(&self) {
         let Some(due) = self.queue.lock().due() else {
             return self.wake.notified().await;
@@ -467,7 +467,7 @@ impl Outbox {
 
     fn try_flush(&self) -> Result<Flushed, NetError> {
         loop {
-            // Whoever has it looks at `touched` again after letting go, so nothing is forgotten.
+            // The holder looks at `touched` again after letting go, so nothing is forgotten.
             let Some(way) = self.way.try_lock() else {
                 return Ok(Flushed::Done);
             };

@@ -9,7 +9,7 @@ use mom_system::sync::atomic::Ordering;
 
 use super::{Outbox, PeerQueue};
 
-/// A sender among the waiters of an outbox. Whoever drops it makes way for the next.
+/// A sender among the waiters of an outbox. Dropping it makes way for the next.
 #[derive(Debug)]
 pub(crate) struct WaiterHandle {
     outbox: Arc<Outbox>,
@@ -118,7 +118,7 @@ impl Outbox {
         }
     }
 
-    /// Whoever has taken something out looks at this without the lock; it is set under that lock, so nobody who still
+    /// A taker looks at this without the lock afterwards; it is set under that lock, so nobody who still
     /// finds none is overlooked.
     fn note_awaited(&self, queue: &PeerQueue) {
         self.awaited.store(queue.is_awaited(), Ordering::SeqCst);

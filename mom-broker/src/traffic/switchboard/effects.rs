@@ -19,7 +19,7 @@ use crate::traffic::switchboard::{Switchboard, Touched};
 pub(super) struct Decisions {
     /// The effects of decisions that nobody has begun to carry out, and how many decisions there were.
     made: Mutex<(VecDeque<Vec<Effect>>, u64)>,
-    /// How many were carried out. Whoever holds it carries out the next ones.
+    /// How many were carried out. Its holder carries out the next ones.
     carried_out: Mutex<u64>,
 }
 

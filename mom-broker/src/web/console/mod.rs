@@ -63,7 +63,7 @@ pub(super) fn answer(
     let reads = matches!(*method, Method::GET | Method::HEAD);
     let name = path.strip_prefix('/')?;
     let name = match name {
-        // Whoever asks for no page is told in a text what this is.
+        // A client that asks for no page is told in a text what this is.
         "" if reads && !takes_html(headers) => return None,
         "" => PAGE,
         name => name,

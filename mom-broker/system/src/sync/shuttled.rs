@@ -98,7 +98,7 @@ impl Notify {
         waiting.into_iter().for_each(Waker::wake);
     }
 
-    /// Wakes whoever waits, without a permit for whoever comes later.
+    /// Wakes the waiters, without a permit for later ones.
     pub fn notify_waiters(&self) {
         let mut permit = self.0.lock();
         permit.rounds += 1;

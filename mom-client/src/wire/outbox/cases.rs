@@ -177,7 +177,7 @@ impl Talker {
         }
     }
 
-    /// Notes what is put in; gives its id, and where its answer goes if somebody waits for it.
+    /// Notes what is put in; gives its id, and where its answer goes if a caller waits for it.
     fn note(&mut self, item: &Item, awaited: bool) -> (u64, Option<AnswerTo>) {
         let id = self.said.len() as u64 + 1;
         let context = path(&item.context);

@@ -28,7 +28,7 @@ impl AddAssign for Capacity {
 #[derive(Debug)]
 pub(crate) struct Message {
     pub(crate) capacity: Capacity,
-    /// Somebody waits for its answer; the loss of any other is told in its context.
+    /// A caller waits for its answer; the loss of any other is told in its context.
     pub(crate) awaited: bool,
     /// The token that it needs.
     pub(crate) guard: Option<Path>,
@@ -202,7 +202,7 @@ impl Entry {
         }
     }
 
-    /// Where its loss is told; none of a request, and if somebody waits for its answer.
+    /// Where its loss is told; none of a request, and if a caller waits for its answer.
     pub(crate) fn path(&self) -> Option<&Path> {
         let told = self.is_message() && !self.awaited;
         self.context.as_ref().filter(|_| told)
@@ -254,7 +254,7 @@ impl Item for Entry {
         self.outgoing.len()
     }
 
-    // A second stop of a context says nothing that the first does not. One whose answer somebody waits for stays: it would not
+    // A second stop of a context says nothing that the first does not. One whose answer a caller waits for stays: it would not
     // come.
     fn repeats(&self, older: &Entry) -> bool {
         let answered = older.lane == Lane::Stop && older.awaited;

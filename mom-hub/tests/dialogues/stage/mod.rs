@@ -118,14 +118,14 @@ impl Stage {
         }
     }
 
-    /// Somebody comes, and goes to the lab and its arm as far as they are there.
+    /// A peer comes, and goes to the lab and its arm as far as they are there.
     pub(crate) fn enter(&mut self, name: &str, level: i32) {
         self.arrive(name, level);
         self.say(name, "context join /lab");
         self.say(name, "context join /lab/arm");
     }
 
-    /// Somebody logs in, on a new connection.
+    /// A user logs in, on a new connection.
     pub(crate) fn arrive(&mut self, name: &str, level: i32) {
         self.last_peer += 1;
         self.login(PeerId(self.last_peer), user(name, level));
@@ -146,7 +146,7 @@ impl Stage {
         self.say(nickname, "context join /lab");
     }
 
-    /// A login on a connection, which may be somebody else's so far.
+    /// A login on a connection, which may be another user's so far.
     pub(crate) fn login(&mut self, peer: PeerId, user: User) -> Vec<String> {
         self.id += 1;
         let name = user.name.clone();

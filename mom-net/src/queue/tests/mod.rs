@@ -210,7 +210,7 @@ fn lanes_leave_in_their_order() {
     assert!(queue.is_empty());
 }
 
-/// However much waits that may not be dropped, the room for one more is found in a few looks: whoever floods a slow
+/// However much waits that may not be dropped, the room for one more is found in a few looks: a sender that floods a slow
 /// receiver does not hold its outbox.
 #[test]
 fn what_may_be_dropped_is_not_looked_for_twice() {

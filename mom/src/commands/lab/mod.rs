@@ -149,7 +149,7 @@ pub(crate) async fn run(args: &cli::LabArgs, output: Output) -> Result<(), Failu
     ended.map_or(Ok(()), |why| Err(Failure::plain(why)))
 }
 
-/// Says which devices end, and goes on with the others: somebody may have put one out. Gives why the last one has ended.
+/// Says which devices end, and goes on with the others: a peer may have expelled one. Gives why the last one has ended.
 async fn all_ended(devices: &mut Devices, output: Output) -> Option<String> {
     let mut last = None;
     while let Some(ended) = devices.join_next().await {

@@ -138,7 +138,7 @@ impl LabSummary {
         }
         if matches!(self.kind, Kind::Cubo) {
             let robot = format!(
-                "{}, driven by whoever holds {}",
+                "{}, driven by the owner of {}",
                 place(&format!("{CUBO}/robot")),
                 place(&format!("{CUBO}/token"))
             );
@@ -152,7 +152,7 @@ impl LabSummary {
         if matches!(self.kind, Kind::TwoArms) {
             let robots = TWO_ARMS.map(|(_, channel, _)| {
                 format!(
-                    "{}, driven by whoever holds {}",
+                    "{}, driven by the owner of {}",
                     place(channel),
                     place(&token_of(channel))
                 )
@@ -171,13 +171,13 @@ impl LabSummary {
             .map(|view| place(&CameraOptions::new(view).channel))
             .join(", ");
         let robot = format!(
-            "{}, driven by whoever holds {}",
+            "{}, driven by the owner of {}",
             place("/robot/arm"),
             place("/robot/token")
         );
         let turning = CameraOptions::new(View::Pan);
         let pan = format!(
-            "{} turns for whoever holds {}",
+            "{} turns for the owner of {}",
             place(&turning.channel),
             place(&turning.token)
         );
@@ -199,9 +199,9 @@ impl LabSummary {
             place(&format!("/fleet/{robots}/robot"))
         );
         let token = match together {
-            true => format!("driven together by whoever holds {}", place("/fleet/token")),
+            true => format!("driven together by the owner of {}", place("/fleet/token")),
             false => format!(
-                "each driven by whoever holds its token, such as {}",
+                "each driven by the owner of its token, such as {}",
                 place("/fleet/1/token")
             ),
         };

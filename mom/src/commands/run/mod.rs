@@ -295,7 +295,7 @@ impl Job {
         }
     }
 
-    /// The id of the newest state, which the robot tells to whoever joins.
+    /// The id of the newest state, which the robot tells to new members.
     async fn newest_state(&mut self) -> Result<u64, Failure> {
         let deadline = Instant::now() + ANSWER;
         loop {

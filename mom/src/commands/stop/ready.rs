@@ -96,7 +96,7 @@ impl Ready<'_> {
                     },
                     () = sleep_until(pressed + LATE), if !late => {
                         late = true;
-                        self.say("no answer yet: nobody knows whether anything has stopped; it is said again as soon as the hub is heard");
+                        self.say("no answer yet: it is unknown whether anything has stopped; the stop is sent again as soon as the hub answers");
                     }
                     () = self.ended() => return Ok(false),
                 }
@@ -147,7 +147,7 @@ impl Ready<'_> {
     fn say_link(&mut self) {
         let words = match &*self.link.borrow() {
             LinkState::Connected => format!("connected: any key stops {}", self.args.path),
-            LinkState::Stale { .. } => "nothing is heard of the hub".to_owned(),
+            LinkState::Stale { .. } => "the hub is silent".to_owned(),
             LinkState::Resuming { .. } | LinkState::Trying { .. } => {
                 "the connection is lost: a stop is said as soon as it is back".to_owned()
             }

@@ -157,7 +157,7 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
         }
         for (place, item) in items {
             // A late packet moves nothing, but its ids and acknowledgements count: they do so once anyway. Only a call that a control has
-            // overtaken is no more than one that was lost: it may have been withdrawn.
+            // overtaken counts as lost: it may have been withdrawn.
             match item {
                 Item::Call { .. } if full < self.barrier => {}
                 Item::Call { id, data } => self.execute(place, id, data, is_newest, body),
@@ -334,7 +334,7 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
         Ok(())
     }
 
-    /// Somebody asks for a session.
+    /// A middle asks for a session.
     fn hear_hello(
         &mut self,
         now: u64,
@@ -399,7 +399,7 @@ impl<const E: usize, const V: usize, const B: usize, const S: usize> Robot<'_, E
         }
     }
 
-    /// The watchdog: whoever says nothing commands nothing.
+    /// The watchdog: a silent middle commands nothing.
     pub(super) fn watch(&mut self, now: u64, body: &mut impl Body) {
         let silent = now.saturating_sub(self.fed);
         match self.phase {

@@ -38,7 +38,7 @@ async fn robot(address: SocketAddr) -> Raw {
     robot
 }
 
-/// Somebody in its channel.
+/// A peer in its channel.
 async fn member(address: SocketAddr, user: &str) -> Raw {
     let mut member = Raw::login(address, Form::Binary, user).await;
     member.join(&["/robot", ARM]).await;
@@ -112,7 +112,7 @@ async fn is_refused(sender: &mut Raw, note: Parcel) -> bool {
     }
 }
 
-/// A robot that reads too slowly for what somebody sends stays, and hears its owner; who sends hears that it does not
+/// A robot that reads too slowly for what a peer sends stays, and hears its owner; who sends hears that it does not
 /// get it, and others do.
 #[tokio::test]
 async fn a_device_is_not_put_out_by_who_owns_nothing() {
@@ -183,7 +183,7 @@ async fn a_device_is_not_put_out_by_who_owns_nothing() {
     broker.stop().await;
 }
 
-/// What somebody else has waiting for it does not count when its owner says something.
+/// What another peer has waiting for it does not count when its owner says something.
 #[tokio::test]
 async fn a_large_message_of_anothers_is_no_reason_to_close_it() {
     let (broker, address) = start(1).await;

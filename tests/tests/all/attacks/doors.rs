@@ -77,7 +77,7 @@ fn address(last: u8) -> IpAddr {
     IpAddr::from(Ipv4Addr::new(127, 0, 9, last))
 }
 
-/// Strangers who say nothing, or not enough, fill all places that they may, again and again; whoever has something to
+/// Strangers who say nothing, or not enough, fill all places that they may, again and again; a peer with something to
 /// say gets in each time, also from their address. They hear why they are closed, and who has logged in stays.
 #[tokio::test]
 async fn silent_strangers_keep_nobody_out() {
@@ -147,7 +147,7 @@ async fn one_user_does_not_fill_the_house() {
     house.close().await;
 }
 
-/// A guest may not be taken for somebody else, in whatever letters.
+/// A guest may not be taken for another user, in whatever letters.
 #[tokio::test]
 async fn names_are_nobody_elses_in_any_form() {
     let issuer = Issuer::number(1);

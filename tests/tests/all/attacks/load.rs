@@ -115,7 +115,7 @@ async fn program() -> (Running, SocketAddr, TempDir) {
     (broker, address.parse().expect("an address"), folder)
 }
 
-/// Somebody of whom the load knows nothing: makes what it works in, and looks.
+/// A peer of which the load knows nothing: makes what it works in, and looks.
 async fn observer(hub: SocketAddr) -> Raw {
     let mut observer = Raw::login(hub, Form::Binary, "alice").await;
     observer.join(&["/free"]).await;

@@ -1,4 +1,4 @@
-//! Logs hold nobody up and fill no disk, whoever reads them or not, and whatever a stranger says.
+//! Logs hold nobody up and fill no disk, whether they are read or not, and whatever a stranger says.
 
 use std::fs::OpenOptions;
 use std::io;
@@ -133,7 +133,7 @@ async fn who_finds_no_place_holds_up_nobody() {
 }
 
 async fn nobody_notices(stderr: Stdio) {
-    // A line for each refusal, which is what somebody has who looks for a fault.
+    // A line for each refusal, which is what is there to look for a fault.
     let home = home("log = \"info,mom_broker=debug\"");
     let service = home.start_logging(&[], stderr).await;
     let mut canary = Canary::start(service.address()).await;

@@ -118,7 +118,7 @@ async fn answer(
             ("204 No Content", "text/plain", "")
         }
         (None, "/wait") => {
-            // Whoever asks is there as long as the site is.
+            // The requester is there as long as the site is.
             let _ = over.subscribe().wait_for(|over| *over).await;
             ("404 Not Found", "text/plain", "")
         }

@@ -46,7 +46,7 @@ async fn what_was_not_read_comes_in_another_form_with_what_is_new() {
     }
 }
 
-/// An answer that was under way for long is of a connection that its peer has given up: whoever goes on with the link stays.
+/// An answer that was under way for long is of a connection that its peer has given up: the connection that goes on with the link stays.
 #[tokio::test]
 async fn a_late_answer_to_an_older_challenge_takes_nothing_over() {
     let (broker, alice, mut bob) = chatting(Form::Binary).await;

@@ -9,7 +9,7 @@ use mom_tests::programs::PATIENCE;
 use mom_tests::{lab, tls};
 use tokio::time::timeout;
 
-/// Nobody's address here as far as a client can tell, although the system takes whoever connects there to its loopback.
+/// Nobody's address here as far as a client can tell, although the system takes connections there to its loopback.
 const ELSEWHERE: &str = "0.0.0.0";
 
 fn pin(broker: &Broker) -> Trust {

@@ -66,7 +66,7 @@ fn said(message: Message) -> tokio::task::JoinHandle<Result<(), ClientError>> {
     tokio::spawn(async move { message.send_acknowledged().await.map(drop) })
 }
 
-/// From a client: in a guarded channel, in one that is not, whether somebody waits for the answer or not.
+/// From a client: in a guarded channel, in one that is not, whether a caller waits for the answer or not.
 #[tokio::test]
 async fn a_client_says_no_command_again_after_a_cut() {
     let broker = lab::start().await;

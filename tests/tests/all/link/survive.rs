@@ -94,7 +94,7 @@ async fn steady(broker: &Broker, user: &str) -> Client {
     connected.expect("a user of the lab")
 }
 
-/// The numbers that come in the chat from somebody else.
+/// The numbers that come in the chat from another peer.
 async fn hear(client: Client, from: &'static str) -> mpsc::UnboundedReceiver<i64> {
     let (sender, numbers) = mpsc::unbounded_channel();
     let chat = client.channel("/chat").await.expect("anybody may");

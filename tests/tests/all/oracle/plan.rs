@@ -11,7 +11,7 @@ pub(super) enum Deed {
     Drive(u64, u64),
     Stop,
     Unstop,
-    /// Somebody else becomes the owner: the old one lets go, or gives it, or the operator takes it.
+    /// Another peer becomes the owner: the old one lets go, or gives it, or the operator takes it.
     HandOver(Way),
     Link(bool),
     Sever,
@@ -75,7 +75,7 @@ pub(super) fn plan(kind: Kind, seed: u64) -> Vec<(u64, Deed)> {
     plan
 }
 
-/// Somebody drives, and then what is most asked of a device happens, or nothing yet. Also when that is over.
+/// A peer drives, and then what is most asked of a device happens, or nothing yet. Also when that is over.
 fn plot(kind: Kind, seed: u64, chance: &mut Rng) -> (Vec<(u64, Deed)>, u64) {
     let mut plan = vec![(0, Deed::HandOver(Way::LetGo)), (20, drive(chance))];
     // Each in its turn; of a planted fault it is to be shown soon that it is found.

@@ -264,7 +264,7 @@ impl Body<'_> {
         self.seen().rev().find_map(of)
     }
 
-    /// When somebody sends what no fence guards, after this time.
+    /// When a peer sends what no fence guards, after this time.
     fn unfenced(&self, after: Micros) -> Micros {
         let is = |(at, seen): (Micros, &Seen)| {
             let is = matches!(seen, Seen::Command { fenced: false, .. });

@@ -185,7 +185,7 @@ fn what_was_sent_without_a_fence_ends_where_a_guard_appears() {
     ] {
         assert_eq!(found(&wrong, &seen), [Rule::Unguarded]);
     }
-    // What somebody owns may go on.
+    // What has an owner may go on.
     let seen = [(1900, command("alice", 1.0)), (2000, Seen::Guarded)];
     assert_eq!(found(&[(1000, 0.0), (4000, 300.0)], &seen), []);
 }

@@ -20,7 +20,7 @@ use super::log::{Hindered, Micros, Notes, Reading, Seen};
 use super::planted::{Plant, Planted};
 use super::rules::Spec;
 
-/// Whoever drives, and who may stop and unstop: carol is an operator, whose level is above the others'.
+/// The drivers, and who may stop and unstop: carol is an operator, whose level is above the others'.
 pub(super) const PEOPLE: [&str; 3] = ["alice", "bob", "carol"];
 pub(super) const OPERATOR: usize = 2;
 

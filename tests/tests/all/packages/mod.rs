@@ -109,7 +109,7 @@ fn archive_and_package_have_the_same_programs_and_all_pages() {
     sums.current_dir(dist).args(["--check", "SHA256SUMS"]);
     let sums = lines_of(sums);
     assert_eq!(sums.len(), 6, "{sums:?}");
-    // Whoever packs the same commit gets the same files, with other habits too.
+    // Packing the same commit gives the same files, with other settings too.
     let again = packed_with("077", &folder.path().join("again"));
     let sums_of = |package: &Path| std::fs::read_to_string(package.with_file_name("SHA256SUMS"));
     assert_eq!(

@@ -142,7 +142,7 @@ async fn stop_and_go(world: &mut World, robot: &mut Raw, most: i64) -> u64 {
 }
 
 /// Where its channel has it wait, the publisher is held back by its own socket: nothing piles up beyond half of the
-/// outbox, nothing is lost, and whoever has something urgent to say passes.
+/// outbox, nothing is lost, and urgent parcels pass.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn threat_27_a_publisher_is_held_back() {
     for form in [Form::Binary, Form::Xml] {

@@ -187,7 +187,7 @@ async fn threat_26_drops_are_told() {
     }
 }
 
-/// Whoever asks without end is told when to come again; to keep a token, to give it up and to stop are never refused
+/// A peer that asks without end is told when to come again; to keep a token, to give it up and to stop are never refused
 /// for it, and others do not notice.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn requests_without_end_are_put_off() {

@@ -43,7 +43,7 @@ async fn login(peer: &mut Raw, user: &str, nickname: Option<&str>) -> Result<Val
     peer.ask(login).await.map(|welcome| welcome.value())
 }
 
-/// Threat 12: nobody is called what others would read as somebody else.
+/// Threat 12: nobody has a name that others would read as another user's.
 #[tokio::test]
 async fn threat_12_nicknames() {
     let world = World::start().await;

@@ -132,7 +132,7 @@ async fn threat_11_look_alikes_lead_nowhere() {
     world.end().await;
 }
 
-/// Threat 11: users and nicknames that would be patterns, paths, or somebody else.
+/// Threat 11: users and nicknames that would be patterns, paths, or another user's.
 #[tokio::test]
 async fn threat_11_users() {
     let world = World::start().await;

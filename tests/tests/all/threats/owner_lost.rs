@@ -1,5 +1,5 @@
 //! Threat 22: owners that die while they drive. Their ownership ends on time, the robot is told and halted, and
-//! whoever grabs next has the token.
+//! the next peer to grab has the token.
 
 use std::net::SocketAddr;
 use std::time::Duration;

@@ -1,4 +1,4 @@
-//! Threat 30: the broker is killed, or ended in order, while somebody drives, and starts again on the same store.
+//! Threat 30: the broker is killed, or ended in order, while a peer drives, and starts again on the same store.
 //! Fences rise, and nobody has a token while its owner of before could still believe that it has it.
 
 use std::time::{Duration, Instant};
@@ -58,7 +58,7 @@ fn check_kept(answer: Result<Parcel, WireError>, most: Duration) {
     assert!(left <= most, "{error}");
 }
 
-/// kill -9 while somebody drives: the next one has the token no sooner than the lease of before could have ended.
+/// kill -9 while a peer drives: the next one has the token no sooner than the lease of before could have ended.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn threat_30_killed_and_started_again() {
     let home = Home::new(ARENA);
@@ -91,7 +91,7 @@ async fn threat_30_killed_and_started_again() {
     assert_eq!(service.terminate().await.code(), Some(0));
 }
 
-/// Whoever had it has it again at once, as the same user under the same name, past all who wait.
+/// Its owner has it again at once, as the same user under the same name, past all who wait.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn threat_30_the_owner_comes_back() {
     let home = Home::new(ARENA);

@@ -1,4 +1,4 @@
-//! What a broker writes down, with everything switched on: who did what, and nothing by which somebody else could.
+//! What a broker writes down, with everything switched on: who did what, and nothing by which another could.
 
 use std::net::SocketAddr;
 use std::path::Path;
@@ -142,7 +142,7 @@ async fn live(home: &Home, device: &DeviceKey, issuer: &Issuer) -> Vec<(&'static
     secrets.into_iter().chain(ids).collect()
 }
 
-/// Logs in by all three ways through all other doors, and is refused there; gives the ids of a tunnel, by which somebody else could
+/// Logs in by all three ways through all other doors, and is refused there; gives the ids of a tunnel, by which another could
 /// go on with it.
 async fn at_doors(address: SocketAddr, device: &DeviceKey, jwt: &str) -> Vec<String> {
     for form in Form::ALL {

@@ -71,7 +71,7 @@ struct Outcome {
 }
 
 /// Threat 24: preempting, releasing, and taking what was offered, all at once from as many sockets: they happen one
-/// after the other, whoever loses hears how, and an equal level takes nothing.
+/// after the other, the loser hears how, and an equal level takes nothing.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn threat_24_preempt_release_and_give_at_once() {
     let mut world = World::start().await;

@@ -101,7 +101,7 @@ impl Track {
     }
 }
 
-/// How far somebody has come.
+/// How far a peer has come.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Progress {
     at: usize,

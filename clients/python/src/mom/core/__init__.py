@@ -160,7 +160,7 @@ class Core:
         entry = Entry(parcel, str(delivery), token, answer, self.outbox.clock())
         most = self.limit("parcel", 8 << 20)
         if entry.size > most:
-            raise RefusedError(WireError("too-long", f"{entry.size} bytes; the hub takes {most}"))
+            raise RefusedError(WireError("too-long", f"the parcel has {entry.size} bytes; the hub accepts at most {most}"))
         await self.outbox.capacity(entry)
         self.check_up()
         self._sent[parcel.id] = parcel.context

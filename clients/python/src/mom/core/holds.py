@@ -277,5 +277,5 @@ class Holds:
             if owner != self._core.peer:
                 handover.end("lost")
             elif not handover.back.done():
-                # It is renewed once somebody wants it.
+                # It is renewed once a caller wants it.
                 handover.back.set_result(self.granted(handover.path, content, renew=False))

@@ -1,4 +1,4 @@
-//! When a robot is left: it floods, answers what nobody asks, or is silent while somebody listens.
+//! When a robot is left: it floods, answers what nobody asks, or is silent while a station listens.
 
 use super::*;
 

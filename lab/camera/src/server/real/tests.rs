@@ -268,7 +268,7 @@ fn a_wanted_form_is_made_of_each_frame() {
     );
 }
 
-/// Whoever restores settings names what the frames are already: they go out as they came all the same.
+/// A peer that restores settings names what the frames are already: they go out as they came all the same.
 #[test]
 fn to_want_what_a_frame_is_already_changes_nothing() {
     let mut stage = Stage::new();

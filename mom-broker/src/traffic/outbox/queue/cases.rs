@@ -142,7 +142,7 @@ impl Receiver {
             .said
             .iter_mut()
             .find(|said| Arc::ptr_eq(&said.packet, packet));
-        let said = said.expect("somebody has said it");
+        let said = said.expect("it was said");
         said.left |= piece.is_last();
         Some((said.label.clone(), piece.is_last()))
     }
@@ -215,7 +215,7 @@ impl Replay for Receiver {
                 // Of those that are alike the oldest that has not left.
                 let mut alike: Vec<&mut Said> = self.said.iter_mut().filter(fits).collect();
                 alike.sort_by_key(|said| said.left);
-                let said = alike.into_iter().next().expect("somebody has said it");
+                let said = alike.into_iter().next().expect("it was said");
                 said.told = true;
                 told.insert(said.label.clone(), dropped.reason.word().to_owned());
             }

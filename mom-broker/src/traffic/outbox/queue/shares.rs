@@ -1,4 +1,4 @@
-//! What of a device's queue others than the owner of its token may fill: it is not closed because of what somebody sends to it.
+//! What of a device's queue others than the owner of its token may fill: it is not closed because of what others send to it.
 //!
 //! What needs no token may fill three quarters of the bound, and what one user says of it a quarter. More is refused, to its sender: the
 //! rest is for the owner's commands. What the hub tells it of others goes before commands up to an eighth of what it
@@ -215,7 +215,7 @@ mod tests {
         assert_eq!(queue.push(Arc::new(note(&users[3])), &clock), Taken::Yes);
     }
 
-    /// What somebody else has waiting, begun or not, is no reason to close it when its owner says something.
+    /// What another sender has waiting, begun or not, must not close it when its owner says something.
     #[test]
     fn a_device_is_slow_for_what_its_owner_says_only() {
         let clock = Clock::manual(Time::default());

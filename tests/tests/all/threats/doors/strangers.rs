@@ -214,7 +214,7 @@ fn address(last: u8) -> IpAddr {
 }
 
 /// Threat 28: half hellos, half heads, upgrades and tunnels take the places of strangers, and no others; the oldest goes and hears
-/// why, and whoever has something to say gets in, also from their address.
+/// why, and a peer with something to say gets in, also from their address.
 #[tokio::test]
 async fn threat_28_places_at_every_door() {
     let mut world = World::start_with(|config| {
@@ -261,7 +261,7 @@ async fn threat_28_places_at_every_door() {
     world.end().await;
 }
 
-/// Threat 28: whoever only asks has a place for as long as a login may take, and not for ever.
+/// Threat 28: a client that only asks has a place for as long as a login may take, and not for ever.
 #[tokio::test]
 async fn threat_28_who_only_asks_goes() {
     let world = world().await;

@@ -98,7 +98,7 @@ async fn threat_14_who_a_signature_is_for() {
             outcome
         };
         for (what, asked_as, key, hub, user) in [
-            ("somebody's key", "bob", 9, "mom", "bob"),
+            ("another's key", "bob", 9, "mom", "bob"),
             ("the key of another user", "bob", 3, "mom", "bob"),
             ("as another user", "bob", 3, "mom", "camera"),
             ("for another hub", "bob", 1, "other", "bob"),
@@ -165,7 +165,7 @@ fn elsewhere() -> Option<std::net::IpAddr> {
     (!address.is_loopback() && !address.is_unspecified()).then_some(address)
 }
 
-/// Whoever listens on the way hears no secret: the hub does not even wait for the rest of it.
+/// An eavesdropper hears no secret: the hub does not even wait for the rest of it.
 #[tokio::test]
 async fn threat_14_secrets_from_elsewhere() {
     let Some(address) = elsewhere() else {

@@ -1,4 +1,4 @@
-//! Threat 14: tokens that are forged, for somebody else, or over.
+//! Threat 14: tokens that are forged, for another user, or expired.
 
 use std::time::Duration;
 
@@ -60,7 +60,7 @@ fn forged(issuer: &Issuer) -> Vec<(&'static str, String)> {
         ("in two parts", message.to_owned()),
         ("in four parts", format!("{good}.{signature}")),
         ("another's claims", format!("{header}.{promoted}.{signature}")),
-        ("signed by somebody else", eve.sign(&right())),
+        ("signed by another", eve.sign(&right())),
         (
             "with the key in its header",
             eve.sign_with_header(&json!({"alg": "EdDSA", "jwk": jwk}), &right()),
@@ -210,7 +210,7 @@ async fn threat_14_tokens_by_a_shared_secret() {
     world.end().await;
 }
 
-/// Whoever names itself by a token gets no more than the configuration gives away, and nobody's name.
+/// A user named by a token gets no more than the configuration gives away, and nobody's name.
 #[tokio::test]
 async fn threat_14_rights_from_claims() {
     let issuer = Issuer::number(1);
