@@ -24,8 +24,8 @@ struct ZoneParams {
     to: [f64; 3],
 }
 
-/// Denies the grab of a zone, and its return, that overlaps one which another peer owns, or is being granted. It narrows what others allow: who may have a zone at all, and what
-/// happens when two want the same one, the other managers of its chain say.
+/// Denies the grab of a zone, and its return, that overlaps one which another peer owns, or is being granted. It narrows what others allow:
+/// who may have a zone at all, and what happens when two want the same one, the other managers of its chain say.
 #[derive(Debug)]
 struct Zones {
     label: Arc<str>,

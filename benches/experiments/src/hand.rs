@@ -27,7 +27,8 @@ pub(super) fn clearance_along(from: &Pose, to: &Pose, blocks: &[Block]) -> f64 {
     let mut at = 0.0;
     while at < steps && least > 0.0 {
         let here = nearest(&from.between(to, at / steps), &solids, least);
-        // In a step no part of the hand comes nearer by more than 2.6 times its length: 1 by the way, and 1.6 by a turn of as many degrees 90 mm off.
+        // In a step no part of the hand comes nearer by more than 2.6 times its length: 1 by the way, and 1.6 by a turn of as many degrees
+        // 90 mm off.
         at += ((here - least).max(0.0) / (2.6 * STEP)).floor().max(1.0);
         least = least.min(here);
     }

@@ -1,4 +1,5 @@
-//! The lab for an operator behind a narrow link: what becomes of images, of states and of stops when four cameras send more than it carries.
+//! The lab for an operator behind a narrow link: what becomes of images, of states and of stops when four cameras send more than it
+//! carries.
 
 use std::array::from_fn;
 use std::path::Path;

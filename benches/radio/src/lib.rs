@@ -1,7 +1,7 @@
 //! A wireless network of 1 to 2 Mbit/s that all stations share (W19), in virtual time, without IO and without a clock.
 //!
-//! Stations send messages to each other, as datagrams or over TCP ([`Transport`]). A [`Radio`] says when each arrives, or that it is lost: by the
-//! airtime of its frames and acknowledgements, by who sends when, by collisions, by loss over the distance ([`Loss`]), and by what
+//! Stations send messages to each other, as datagrams or over TCP ([`Transport`]). A [`Radio`] says when each arrives, or that it is lost:
+//! by the airtime of its frames and acknowledgements, by who sends when, by collisions, by loss over the distance ([`Loss`]), and by what
 //! IP and TCP make of that. The same seed gives the same events. `docs/radio.md` has the equations and says where each number is from.
 //!
 //! ```

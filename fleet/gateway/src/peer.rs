@@ -14,9 +14,9 @@ use crate::station::RobotWire;
 
 /// Has the robots of these lines obey at the hub, until `shutdown` is done. Then they stand, and are waited for, a second at most.
 ///
-/// What is missing of their contexts is made first. There are as many clients as [`connections`](crate::connections) says; they share the robots. A robot
-/// whose channel is gone, as it was deleted or the hub began anew, stands until that is back, and the others go on; the gateway makes it
-/// if it can. What comes of `changes` is taken over meanwhile.
+/// What is missing of their contexts is made first. There are as many clients as [`connections`](crate::connections) says; they share the
+/// robots. A robot whose channel is gone, as it was deleted or the hub began anew, stands until that is back, and the others go on; the
+/// gateway makes it if it can. What comes of `changes` is taken over meanwhile.
 ///
 /// # Errors
 ///

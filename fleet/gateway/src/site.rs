@@ -25,7 +25,8 @@ pub fn connections(robots: usize) -> usize {
 /// What a gateway makes of its robots at the hub.
 #[derive(Debug, Clone)]
 pub struct GatewayOptions {
-    /// The session of the fleet: robot 7 is `/fleet/7`, with a channel `robot` and a token `token`; the token of a group is `/fleet/GROUP/token`.
+    /// The session of the fleet: robot 7 is `/fleet/7`, with a channel `robot` and a token `token`; the token of a group is
+    /// `/fleet/GROUP/token`.
     pub session: String,
     /// One token for all robots of this gateway, which are driven together; none: each group and each robot of none has its own.
     /// A token guards 256 channels at most.

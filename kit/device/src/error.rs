@@ -135,8 +135,8 @@ impl fmt::Display for ErrorName {
 /// An error of a device: plain words, with the code kept beside them.
 ///
 /// As content it is a map of `name`, `code`, `text` and, where they apply, `retry`, `statement` (1 for the first), `position` (byte in
-/// the script) with its `line` and `column` (1 for the first), `nearest` (the known word meant), `late` (ms since it had come to rest) and `reachable` (the nearest position
-/// that the device can reach).
+/// the script) with its `line` and `column` (1 for the first), `nearest` (the known word meant), `late` (ms since it had come to rest) and
+/// `reachable` (the nearest position that the device can reach).
 #[derive(Debug, Clone, PartialEq, thiserror::Error, Serialize)]
 #[error("{text}")]
 pub struct DeviceError {

@@ -14,8 +14,8 @@ pub(crate) struct Freshness {
 }
 
 impl Freshness {
-    /// Until when a command may begin, by the time of the device: until it expires, and until it is older than the device allows. An unknown
-    /// age fails the device's own limit.
+    /// Until when a command may begin, by the time of the device: until it expires, and until it is older than the device allows. An
+    /// unknown age fails the device's own limit.
     ///
     /// # Errors
     ///

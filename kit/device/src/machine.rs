@@ -42,8 +42,8 @@ pub trait Machine: fmt::Debug {
     /// `syntax`, at the word that is wrong.
     fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Self::Action, DeviceError>>;
 
-    /// Whether what its owner began may come to the end of the present statement where he gives its token away, and the hub sends no `halt`.
-    /// Else it is halted then, too.
+    /// Whether what its owner began may come to the end of the present statement where he gives its token away, and the hub sends no
+    /// `halt`. Else it is halted then, too.
     const COMPLETES: bool = false;
 
     /// Gives an action the bytes that it names, of those that came with its script.
@@ -101,8 +101,8 @@ pub trait Machine: fmt::Debug {
     /// When the action that was begun last is done, as far as that is known.
     fn done_at(&self) -> Option<DeviceTime>;
 
-    /// Goes on with the action that was begun last, until then at most, and says when it was done, or has failed ([`Machine::take_failure`]),
-    /// if it was. Only a machine that does not know that time before has more to do here.
+    /// Goes on with the action that was begun last, until then at most, and says when it was done, or has failed
+    /// ([`Machine::take_failure`]), if it was. Only a machine that does not know that time before has more to do here.
     fn pursue(&mut self, until: DeviceTime) -> Option<DeviceTime> {
         self.done_at().filter(|done| *done <= until)
     }
@@ -142,7 +142,8 @@ pub trait Machine: fmt::Debug {
     /// What commands may be based on: where the device is, as it stands in the state, key by key (M35).
     fn position(&self) -> Map;
 
-    /// What is measured of all of it that can move, at this time, by which it rests; none where something that may have moved is not measured.
+    /// What is measured of all of it that can move, at this time, by which it rests; none where something that may have moved is not
+    /// measured.
     fn measured(&self, at: DeviceTime) -> Option<Sample> {
         Sample::of(&self.position(), at)
     }

@@ -211,8 +211,8 @@ impl<M: Machine> CommandQueue<M> {
 
     /// Lets time pass until `now`.
     ///
-    /// Where that is more than [`Machine::PATIENCE`] later than [`CommandQueue::next_wake`], the program has stood still: no statement begins for
-    /// which it would have had to be there, and all commands end.
+    /// Where that is more than [`Machine::PATIENCE`] later than [`CommandQueue::next_wake`], the program has stood still: no statement
+    /// begins for which it would have had to be there, and all commands end.
     pub fn advance(&mut self, now: DeviceTime, events: &mut Vec<QueueEvent>) {
         let silence = self.next_wake().map_or(0, |due| now.saturating_sub(due));
         let patience = M::PATIENCE.saturating_mul(self.pace);

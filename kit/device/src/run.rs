@@ -161,8 +161,8 @@ impl<M: Machine> DevicePeer<M> {
         true
     }
 
-    /// Waits as [`DevicePeer::step`] does, and decides nothing: what happened is to be handed to [`DevicePeer::take`] at once, after whatever
-    /// has to be known before. May be dropped at any time, and nothing is lost.
+    /// Waits as [`DevicePeer::step`] does, and decides nothing: what happened is to be handed to [`DevicePeer::take`] at once, after
+    /// whatever has to be known before. May be dropped at any time, and nothing is lost.
     pub async fn wait(&mut self) -> Option<Happening> {
         let now = self.now();
         self.server.ask(&self.gate, now, &mut self.out);

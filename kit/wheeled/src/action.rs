@@ -16,11 +16,13 @@ const LONGEST: i32 = 60_000;
 ///
 /// | statement | does |
 /// |---|---|
-/// | `motor left right ms` | sets the motors, −1000 to 1000 per mille each, for 1 to 60 000 ms; then they stop, unless another `motor` follows |
+/// | `motor left right ms` | sets the motors, −1000 to 1000 per mille each, for 1 to 60 000 ms; then they stop, unless another `motor`
+/// follows |
 /// | `leds data` | sets the LEDs, a bit each, 0 to 255 |
 /// | `goto x y` | drives there, mm, and is done when it is there |
 /// | `via x y …` | drives there by way of points: `via 1000 0 1000 1000 0 1000` is to the third by the first and the second (W17) |
-/// | `follow leader distance` | drives where the peer of this name drove, mm behind it, until another command comes (W22); the last of its script |
+/// | `follow leader distance` | drives where the peer of this name drove, mm behind it, until another command comes (W22); the last of its
+/// script |
 #[derive(Debug, Clone, PartialEq)]
 pub enum Action {
     /// Sets both motors for so many ms.

@@ -191,7 +191,8 @@ impl Pilot {
         Some(Motors::STOP)
     }
 
-    /// Reads a driver's sensors and sets its motors, if that is due, so that they stop by themselves [`HOLD`] later. When the sensors cannot be read, it tries to stop the motors.
+    /// Reads a driver's sensors and sets its motors, if that is due, so that they stop by themselves [`HOLD`] later. When the sensors
+    /// cannot be read, it tries to stop the motors.
     ///
     /// # Errors
     ///

@@ -5,8 +5,8 @@
 //! table and other blocks as well; the fingertips themselves cannot go below the table, because
 //! the jaw line is level and the workspace ends there.
 //!
-//! The controller knows a contact only by the overload of its motors (M49): a block that slides away on the table is not felt, one that is pressed
-//! down, or caught, ends the motion with a `torque-overload`.
+//! The controller knows a contact only by the overload of its motors (M49): a block that slides away on the table is not felt, one that is
+//! pressed down, or caught, ends the motion with a `torque-overload`.
 
 use crate::blocks::{Blocks, meeting_point};
 use crate::motion::Posture;
@@ -23,8 +23,8 @@ pub const PALM_WIDTH: f64 = 100.0;
 /// mm of the palm across the jaw line.
 pub const PALM_DEPTH: f64 = 40.0;
 
-/// mm by which two bodies can come to overlap in one tick of the simulation. A deeper overlap did not arise in this tick (a block fell onto the hand), and is ignored
-/// until they part.
+/// mm by which two bodies can come to overlap in one tick of the simulation. A deeper overlap did not arise in this tick (a block fell onto
+/// the hand), and is ignored until they part.
 const DEEPEST: f64 = 6.0;
 /// mm of a push that is worth it.
 const LEAST_PUSH: f64 = 0.01;

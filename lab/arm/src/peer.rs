@@ -113,8 +113,8 @@ type Entered = (Channel, Option<ZoneWatch>);
 
 /// Runs the lab's simulated arm until `shutdown` is done, as [`run_arm`] does.
 ///
-/// A lost link halts the arm; the client connects again by itself, and the arm goes on with the next command. [`ArmOptions::comes_back`] says
-/// what becomes of an arm that is put out of its channel.
+/// A lost link halts the arm; the client connects again by itself, and the arm goes on with the next command. [`ArmOptions::comes_back`]
+/// says what becomes of an arm that is put out of its channel.
 ///
 /// ```no_run
 /// use mom_arm::{ArmOptions, peer};

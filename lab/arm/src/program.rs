@@ -44,7 +44,8 @@ struct ArmArgs {
     /// Refuse commands that are older than this when they begin, whatever their senders say: a time such as 500ms or 2s
     #[arg(long, value_name = "TIME", value_parser = time())]
     max_age: Option<Duration>,
-    /// Let the simulated link to the controller fail (M53): it stands for the first time, is down for the second, again and again, such as 30s/2s
+    /// Let the simulated link to the controller fail (M53): it stands for the first time, is down for the second, again and again, such as
+    /// 30s/2s
     #[arg(long, value_name = "UP/DOWN", value_parser = link_fault)]
     link_fault: Option<LinkFault>,
     /// Keep out of the zones that the commander does not own (M40): the tokens of this session, which tell their boxes

@@ -32,8 +32,9 @@ use mom_device::DeviceError;
 /// The digital output that closes the gripper.
 pub const GRIPPER_OUTPUT: &str = "do_gripper";
 
-/// The data that the lines refer to, for the module of a real controller: the speed of M49, the tool with its point [`GRIPPER`](crate::reach::GRIPPER) mm
-/// in front of the flange and half a turn round, and the table as it stands before the arm's foot. The tool's mass and its middle are assumed: measure yours.
+/// The data that the lines refer to, for the module of a real controller: the speed of M49, the tool with its point
+/// [`GRIPPER`](crate::reach::GRIPPER) mm in front of the flange and half a turn round, and the table as it stands before the arm's foot.
+/// The tool's mass and its middle are assumed: measure yours.
 pub const DECLARATIONS: &str = "\
 CONST speeddata vslow:=[150,90,150,90];
 PERS tooldata grippertool:=[TRUE,[[0,0,150],[0,0,0,1]],[1.5,[0,0,60],[1,0,0,0],0,0,0]];

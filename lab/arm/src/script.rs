@@ -9,7 +9,8 @@
 //! | `by dx dy dz dspin dtilt` | moves it there from where it is then |
 //! | `grip open`, `grip close` | moves the jaws |
 //! | `wait ms` | waits, 0 to 60 000 ms |
-//! | `jog vx vy vz vspin vtilt` | moves the hand at this velocity for 200 ms: mm/s and degrees/s; a sixth number says for how many ms, 1000 at most |
+//! | `jog vx vy vz vspin vtilt` | moves the hand at this velocity for 200 ms: mm/s and degrees/s; a sixth number says for how many ms, 1000
+//! at most |
 //! | `home` | moves the hand to [`HOME`](crate::pose::HOME) |
 //! | `reset` | puts hand, jaws and blocks back to where they were at the start, at once: this arm is simulated |
 //!
@@ -52,7 +53,8 @@ impl Script {
         self.0.statements()
     }
 
-    /// Whether it says of a motion only how far it goes from where the hand is at the beginning, so that it is wrong from anywhere else (M35).
+    /// Whether it says of a motion only how far it goes from where the hand is at the beginning, so that it is wrong from anywhere else
+    /// (M35).
     #[must_use]
     pub fn is_relative(&self) -> bool {
         self.0.is_relative::<ArmMachine>()

@@ -103,8 +103,8 @@ impl ZoneKeeper {
         self.zones.closed_to(self.commander.as_deref())
     }
 
-    /// Whether a peer may be granted a zone's token, as far as the arm is concerned. Who owns the arm's token may, and drive out; for everybody
-    /// else the arm keeps out of the zone from now on. `is_busy`: the arm carries something out, or something waits.
+    /// Whether a peer may be granted a zone's token, as far as the arm is concerned. Who owns the arm's token may, and drive out; for
+    /// everybody else the arm keeps out of the zone from now on. `is_busy`: the arm carries something out, or something waits.
     ///
     /// # Errors
     ///

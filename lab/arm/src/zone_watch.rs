@@ -111,8 +111,8 @@ impl ZoneWatch {
         self.pending.push(ZoneNews::Forgotten);
     }
 
-    /// What has happened next; none once the session is deleted, or the connection closed. A question comes after the news that the hub sent
-    /// before it. Cancel safe.
+    /// What has happened next; none once the session is deleted, or the connection closed. A question comes after the news that the hub
+    /// sent before it. Cancel safe.
     pub(crate) async fn next(&mut self) -> Option<ZoneEvent> {
         loop {
             if !self.pending.is_empty() {

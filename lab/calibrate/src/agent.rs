@@ -7,7 +7,8 @@
 //! |---|---|---|
 //! | `calibrate` | anybody | `camera`: its name, as in `mom calibrate`; `poses`: in how many to look, 6 to 500, 20 if absent |
 //! | `cancel` | whose task it is | |
-//! | `progress` | the agent | `by`: who asked; `state`: `accepted` (to the peer that asked, with `agent`), `working` (with `pose` and `of`), or the last one: `calibrated` (with `rms`), `failed`, `cancelled`; `text` |
+//! | `progress` | the agent | `by`: who asked; `state`: `accepted` (to the peer that asked, with `agent`), `working` (with `pose` and
+//! `of`), or the last one: `calibrated` (with `rms`), `failed`, `cancelled`; `text` |
 //! | `calibrate-refused`, `cancel-refused` | the agent | code, name and text |
 //!
 //! It takes an offer of the token from the peer of an accepted task only, within [`OFFERED`] of the acceptance.

@@ -44,7 +44,8 @@ struct CameraArgs {
     /// The token whose owner may change the settings; /robot/token if none is named, but /camera/pan-token for the view pan
     #[arg(long, value_name = "PATH")]
     token: Option<String>,
-    /// The manager of the token of the view pan, by its name in the hub's configuration, where the camera has to make it; without it: that of the session
+    /// The manager of the token of the view pan, by its name in the hub's configuration, where the camera has to make it; without it: that
+    /// of the session
     #[arg(long, value_name = "NAME")]
     manager: Option<String>,
     /// Images per second, at most, while the robot moves

@@ -1,8 +1,9 @@
 //! The robot simulacrum protocol (S3 to S24): a thin robot and the computer that thinks for it, the middle, exchange what differs, in
 //! packets whose format follows from a model of the robot. `docs/rsp.md` describes the wire.
 //!
-//! By default there is the robot's end ([`robot`]), which is `no_std`, without alloc and without dependencies. The feature `middle` adds the
-//! other end, which allocates; `cipher` adds keys to both. Neither does IO or has a clock: time is an argument, u64 µs of any monotonic clock.
+//! By default there is the robot's end ([`robot`]), which is `no_std`, without alloc and without dependencies. The feature `middle` adds
+//! the other end, which allocates; `cipher` adds keys to both. Neither does IO or has a clock: time is an argument, u64 µs of any monotonic
+//! clock.
 //!
 //! # Both ends
 //!

@@ -15,9 +15,11 @@ const SET: &str = "elements with their values, and maybe `for` and a time in ms:
 /// | statement | does |
 /// |---|---|
 /// | those of a fleet's robots | drive a robot that has wheels: [`mom_wheeled::Action`] |
-/// | `set left-wheel 100 right-wheel 100 for 1000` | sets effectors, in the units of the model, for so many ms; then they take their safe values. Without `for` they stay; a speed needs it |
+/// | `set left-wheel 100 right-wheel 100 for 1000` | sets effectors, in the units of the model, for so many ms; then they take their safe
+/// values. Without `for` they stay; a speed needs it |
 /// | `do gesture 3` | has a command executed once; done when the robot has acknowledged it (S19, S20) |
-/// | `play speaker hello`, `play speaker song on` | plays the attachment of that name, a WAV file, in blocks of 20 ms (S13); done when it was heard, or with `on` at once, and the next statements are carried out beside it. A halt ends it |
+/// | `play speaker hello`, `play speaker song on` | plays the attachment of that name, a WAV file, in blocks of 20 ms (S13); done when it
+/// was heard, or with `on` at once, and the next statements are carried out beside it. A halt ends it |
 /// | `show lcd face` | hands the attachment of that name to an effector of type bytes |
 /// | `activate motion`, `deactivate motion` | an element, or all members of a module (S6, S7) |
 /// | `ask camera` | has a sensor or monitor say its value now, or a memory event be said again (S22) |

@@ -229,7 +229,8 @@ fn lay_out(root: &Path, pack: &Pack, programs: &Path, tree: &Path, debug: &Path)
     open(tree)
 }
 
-/// Puts a program into the folder `bin` without its debug info, and that into the folder `debug`. The program names the file, and finds it in
+/// Puts a program into the folder `bin` without its debug info, and that into the folder `debug`. The program names the file, and finds it
+/// in
 /// `.debug` beside itself, or in `/usr/lib/debug` below its own path: then a crash tells files and lines.
 fn split(built: &Path, bin: &Path, debug: &Path) -> Result<()> {
     let name = built.file_name().context("a program has a name")?;

@@ -219,7 +219,8 @@ impl Unit {
         self.asked_pose.clear();
     }
 
-    /// What it said of itself, but for what changes with each reply: where it is, what its status tells, its LEDs, and whether it is linked.
+    /// What it said of itself, but for what changes with each reply: where it is, what its status tells, its LEDs, and whether it is
+    /// linked.
     pub(crate) fn known(&self) -> (Option<Pose>, Option<Status>, i32, bool) {
         let pose = self.pose.map(|(pose, _)| pose);
         let status = self.status.map(|told| told.status);
@@ -564,8 +565,9 @@ impl Machine for Unit {
         }
     }
 
-    /// `{unit, linked, reached, unreached-since?, unreached-why?, leds, battery?, charging?, switches?, expired?, round-trip?}`: µs since 1970, words,
-    /// percent, a mask of bits, µs. What is told of one that is not reached is what it said last, but for its motion, of which nobody knows.
+    /// `{unit, linked, reached, unreached-since?, unreached-why?, leds, battery?, charging?, switches?, expired?, round-trip?}`: µs since
+    /// 1970, words, percent, a mask of bits, µs. What is told of one that is not reached is what it said last, but for its motion, of which
+    /// nobody knows.
     fn report(&self) -> Map {
         let mut map = Map::new()
             .with("unit", i64::from(self.number))

@@ -43,7 +43,8 @@ pub enum FleetTask {
         /// What each does: statements of a robot's script
         #[arg(required = true)]
         script: Vec<String>,
-        /// Bytes that come with the script, such as a sound: by the file's name without its extension, or as said; may be given several times
+        /// Bytes that come with the script, such as a sound: by the file's name without its extension, or as said; may be given several
+        /// times
         #[arg(long = "attach", value_name = "[NAME=]FILE", value_parser = attachment)]
         attachments: Vec<(String, PathBuf)>,
     },

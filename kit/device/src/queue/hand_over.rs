@@ -85,8 +85,8 @@ impl<M: Machine> CommandQueue<M> {
         }
     }
 
-    /// Drops the commands that wait, and lets the one that is being carried out come to the end of its present statement only. What would go
-    /// on until another command comes is halted, and no `wait` is waited for.
+    /// Drops the commands that wait, and lets the one that is being carried out come to the end of its present statement only. What would
+    /// go on until another command comes is halted, and no `wait` is waited for.
     pub fn end_statement(&mut self, now: DeviceTime, reason: &str, events: &mut Vec<QueueEvent>) {
         self.advance(now, events);
         if self.machine.gives_way() {

@@ -1,11 +1,12 @@
 //! The wooden blocks: on the table, on each other, in the jaws, or on their way down.
 //!
-//! The model is simple: blocks are cubes that turn about the vertical and lean about one axis, pushes are slow (nothing slides on by itself), nothing bounces, and
-//! the hand does not feel what falls on it. A block moves because the hand pushes it, or by gravity. It stands as long as its weight, and the weight on it, is above what it lies on; otherwise it topples over the nearest edge, or falls. What
+//! The model is simple: blocks are cubes that turn about the vertical and lean about one axis, pushes are slow (nothing slides on by
+//! itself), nothing bounces, and the hand does not feel what falls on it. A block moves because the hand pushes it, or by gravity. It
+//! stands as long as its weight, and the weight on it, is above what it lies on; otherwise it topples over the nearest edge, or falls. What
 //! leaves the table ends on the floor, and stays there until the lab is put back.
 //!
-//! Jaws hold by friction. Closing, they turn and shift what lies between them until its faces are parallel to them; then they carry it with all that
-//! lies on it. That slides off when the carried block leans by more than the friction of wood on wood allows.
+//! Jaws hold by friction. Closing, they turn and shift what lies between them until its faces are parallel to them; then they carry it with
+//! all that lies on it. That slides off when the carried block leans by more than the friction of wood on wood allows.
 
 use serde::{Deserialize, Serialize};
 
@@ -210,8 +211,8 @@ impl Blocks {
         })
     }
 
-    /// The jaws have come so near that they turn and shift the block between them. What lies on it goes along, and is between the jaws itself as far as the
-    /// fingers reach.
+    /// The jaws have come so near that they turn and shift the block between them. What lies on it goes along, and is between the jaws
+    /// itself as far as the fingers reach.
     pub(crate) fn square(&mut self, index: usize, posture: &Posture, reach: f64) {
         let block = squared(&self.all[index], &posture.pose, posture.opening);
         let old = std::mem::replace(&mut self.all[index], block);

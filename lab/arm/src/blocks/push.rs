@@ -6,8 +6,8 @@ use super::Blocks;
 
 /// The most blocks that push each other in a row.
 const LONGEST_ROW: usize = 16;
-/// The ratio of the largest torque of friction to the largest force, for a square that lies flat, in parts of its edge (the mean distance of its points from its
-/// middle): how much a push off the middle turns a block.
+/// The ratio of the largest torque of friction to the largest force, for a square that lies flat, in parts of its edge (the mean distance
+/// of its points from its middle): how much a push off the middle turns a block.
 const TURNING: f64 = 0.3826;
 
 /// Something that cannot be pushed was in the way.
@@ -15,10 +15,11 @@ const TURNING: f64 = 0.3826;
 pub(crate) struct Stuck;
 
 impl Blocks {
-    /// Pushes a block by `depth` mm in a direction, at a point, with what lies on it; it pushes what it meets. After an error blocks may have moved.
+    /// Pushes a block by `depth` mm in a direction, at a point, with what lies on it; it pushes what it meets. After an error blocks may
+    /// have moved.
     ///
-    /// Under an isotropic limit surface a frictionless push moves the middle along the push, and turns the block by its moment; their sum at the point is the depth
-    /// (Howe and Cutkosky, Practical Force-Motion Models for Sliding Manipulation, 1996).
+    /// Under an isotropic limit surface a frictionless push moves the middle along the push, and turns the block by its moment; their sum
+    /// at the point is the depth (Howe and Cutkosky, Practical Force-Motion Models for Sliding Manipulation, 1996).
     ///
     /// # Errors
     ///

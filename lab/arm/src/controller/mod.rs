@@ -1,8 +1,8 @@
 //! The seam between the program and the machine: a robot controller, real or simulated.
 //!
-//! [`Arm`](crate::Arm) is what the paper's PC did: it reads scripts, keeps the path rule and the queue, and gives one [`Instruction`] after the other. A
-//! [`Controller`] carries them out. [`Simulated`] is an S4-like one with the lab's blocks; who has a real one implements this trait, with
-//! [`rapid::instruction`](crate::rapid::instruction) as the text of each instruction if it speaks RAPID (M51).
+//! [`Arm`](crate::Arm) is what the paper's PC did: it reads scripts, keeps the path rule and the queue, and gives one [`Instruction`] after
+//! the other. A [`Controller`] carries them out. [`Simulated`] is an S4-like one with the lab's blocks; who has a real one implements this
+//! trait, with [`rapid::instruction`](crate::rapid::instruction) as the text of each instruction if it speaks RAPID (M51).
 
 use std::fmt;
 
@@ -48,7 +48,8 @@ pub enum Instruction {
 pub enum Progress {
     /// It is being carried out.
     Busy,
-    /// It was done at this time, which is not later than the time asked for. One that is told early is waited for where the instruction says how long it takes.
+    /// It was done at this time, which is not later than the time asked for. One that is told early is waited for where the instruction
+    /// says how long it takes.
     Done(ArmTime),
     /// It ended early, at this time, and the arm stands where that happened.
     Failed(ArmTime, DeviceError),
@@ -110,7 +111,8 @@ pub trait Controller: fmt::Debug + Send {
     /// Why it cannot begin, such as [`ErrorName::Link`]. Then nothing moves.
     fn begin(&mut self, instruction: &Instruction, now: ArmTime) -> Result<(), DeviceError>;
 
-    /// Lets time pass until `now`, or until the instruction ends, if that is earlier. Where none is being carried out, the answer does not count.
+    /// Lets time pass until `now`, or until the instruction ends, if that is earlier. Where none is being carried out, the answer does not
+    /// count.
     fn advance(&mut self, now: ArmTime) -> Progress;
 
     /// Stops hand and jaws where they are. What was being carried out is over.

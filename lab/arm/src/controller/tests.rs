@@ -195,7 +195,8 @@ fn a_block_that_is_only_held_on_others_does_not_tip_them() {
     assert_eq!(lab.place("green"), [-100.0, 100.0, 20.0]);
 }
 
-/// An instruction that is under way when the link fails ends with an error; the controller stands after its watchdog, and the program hears of that when the link is back.
+/// An instruction that is under way when the link fails ends with an error; the controller stands after its watchdog, and the program hears
+/// of that when the link is back.
 #[test]
 fn a_link_fails_and_recovers() {
     let fault = LinkFault {

@@ -87,7 +87,8 @@ fn ids_are_unique_per_sender_and_fence_only() {
     );
 }
 
-/// Everything that ends two commands of fence 5, and whether the arm is stopped after it. The next owner's command begins when the arm rests.
+/// Everything that ends two commands of fence 5, and whether the arm is stopped after it. The next owner's command begins when the arm
+/// rests.
 #[test]
 fn commands_end_when_control_is_lost() {
     for (line, stopped) in [

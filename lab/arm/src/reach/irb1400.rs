@@ -4,11 +4,14 @@
 //!
 //! | number | source |
 //! |---|---|
-//! | 475, 150, 600, 120 mm, and 805 mm from elbow to flange | a public MATLAB script on the kinematics of the "ABB-IRB 1400", its author not named (`d1`, `a1`, `a2`, `a3`, `d4`) |
-//! | 805 = 720 + 85 mm; the same four others | the IRB 1410, whose arm is the same: O. Malla, M. Shanmugavel, "Simplified model to study the kinematics of manipulators with parallelogram linkages", Industrial Robot 51 (2024), and their code |
+//! | 475, 150, 600, 120 mm, and 805 mm from elbow to flange | a public MATLAB script on the kinematics of the "ABB-IRB 1400", its author
+//! not named (`d1`, `a1`, `a2`, `a3`, `d4`) |
+//! | 805 = 720 + 85 mm; the same four others | the IRB 1410, whose arm is the same: O. Malla, M. Shanmugavel, "Simplified model to study
+//! the kinematics of manipulators with parallelogram linkages", Industrial Robot 51 (2024), and their code |
 //! | limits of joints 1 to 3 | the script on the IRB 1400 above: ±170°, ±70°, −65° to 70° |
 //! | limits of joints 4 to 6 | the IRB 1410 by Malla and Shanmugavel: ±150°, ±115°, ±300° |
-//! | signs, zeros and the coupling of joints 2 and 3 | poses that RobotStudio computed for the IRB 1410, listed with that code; the tests hold them |
+//! | signs, zeros and the coupling of joints 2 and 3 | poses that RobotStudio computed for the IRB 1410, listed with that code; the tests
+//! hold them |
 //! | the gripper's length and how it is mounted | assumed |
 //! | where the arm stands | chosen so that the hand reaches all of M50's box upright |
 //! | 5° from a singularity | assumed |

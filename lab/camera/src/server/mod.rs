@@ -84,7 +84,8 @@ pub struct ServerOptions {
 /// - Every new state of the robot is followed by a broadcast image (M38), at most one per period; while an image
 ///   is drawn, newer states replace each other.
 /// - Anyone may ask for an image, and is answered with one of the newest state, whatever the period.
-/// - Only the owner of the token (the robot's, but for a camera with one of its own) changes the settings (M37), by whichever of its user's peers; anyone may ask
+/// - Only the owner of the token (the robot's, but for a camera with one of its own) changes the settings (M37), by whichever of its user's
+///   peers; anyone may ask
 ///   for them. Whose a peer is the hub knows: [`ImageServer::ask_users`].
 /// - Only that owner tells the measured matrix (M55), which images carry from then on, scaled to their size.
 #[derive(Debug)]

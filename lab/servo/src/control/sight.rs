@@ -4,8 +4,10 @@
 //! |---|---|---|---|
 //! | the second newest picture of all cameras | [`OLD`] | [`OLDEST`] | [`BLIND`] of that |
 //! | the newest picture of the hand, where pictures lead it | [`OLD`] | [`OLDEST`] | [`BLIND`] of that |
-//! | a command whose begin the arm has not told | half as long again as they took, + [`LATE`] | the same | as long as they took, + [`UNHEARD`] |
-//! | an estimate that cannot be: of the delay, or of a camera | the first, and the second: all that was estimated is forgotten and measured anew | | the third, unless pictures have fitted what the commands did since |
+//! | a command whose begin the arm has not told | half as long again as they took, + [`LATE`] | the same | as long as they took, +
+//! [`UNHEARD`] |
+//! | an estimate that cannot be: of the delay, or of a camera | the first, and the second: all that was estimated is forgotten and measured
+//! anew | | the third, unless pictures have fitted what the commands did since |
 //!
 //! *Carefully* means: 40 mm/s, one command at a time, and the next one only when pictures have shown the hand where the
 //! last one has left it.

@@ -6,7 +6,8 @@
 //! |---|---|---|
 //! | `align` | anybody | `first`, `second`: names of blocks; `side`: `right`, `left`, `front` or `back`; `gap`: mm |
 //! | `cancel` | whose task it is | |
-//! | `progress` | the agent | `state`: `accepted` (to the peer that asked, with `agent`), `working`, or the last one: `aligned`, `failed`, `cancelled`, `lost`; see [`report`] |
+//! | `progress` | the agent | `state`: `accepted` (to the peer that asked, with `agent`), `working`, or the last one: `aligned`, `failed`,
+//! `cancelled`, `lost`; see [`report`] |
 //! | `align-refused`, `cancel-refused` | the agent | code, name and text |
 //!
 //! It takes an offer of the token from the peer of an accepted task only, within [`OFFERED`] of the acceptance.

@@ -94,7 +94,8 @@ pub enum Reason {
 pub struct Refusal {
     /// Why.
     pub reason: Reason,
-    /// The elements that differ between the two models, by name, as far as the robot could tell; those that one of them lacks are among them.
+    /// The elements that differ between the two models, by name, as far as the robot could tell; those that one of them lacks are among
+    /// them.
     pub differs: Vec<String>,
 }
 

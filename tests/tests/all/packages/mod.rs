@@ -120,7 +120,9 @@ fn archive_and_package_have_the_same_programs_and_all_pages() {
     for ((package, path), files) in PACKAGES.iter().zip(&packages).zip(files) {
         let begins = |line: &&String| {
             let rest = line.strip_prefix(package);
-            rest.is_some_and(|rest| rest.starts_with('-') && !rest.starts_with("-robot") && !rest.starts_with("-debug"))
+            rest.is_some_and(|rest| {
+                rest.starts_with('-') && !rest.starts_with("-robot") && !rest.starts_with("-debug")
+            })
         };
         let archive = sums
             .iter()
@@ -173,7 +175,9 @@ fn a_packed_program_finds_its_debug_info() {
     packed(&out);
     let unpack = |begin: &str| {
         let mut list = Command::new("sh");
-        let each = format!("for f in {begin}-[0-9]*.tar.gz; do tar -xzf $f --strip-components=1 --one-top-level=at; done");
+        let each = format!(
+            "for f in {begin}-[0-9]*.tar.gz; do tar -xzf $f --strip-components=1 --one-top-level=at; done"
+        );
         list.current_dir(&out).args(["-ec", &each]);
         lines_of(list);
     };
@@ -192,7 +196,9 @@ fn a_packed_program_finds_its_debug_info() {
     names.arg("--demangle").arg(&info);
     let names = lines_of(names);
     let main = names.iter().find(|line| line.ends_with("mom_device::main"));
-    let address = main.and_then(|line| line.split(' ').next()).expect("it has a main");
+    let address = main
+        .and_then(|line| line.split(' ').next())
+        .expect("it has a main");
     assert_eq!(place(address), ["??:0"]);
     std::fs::create_dir(out.join("at/bin/.debug")).expect("a folder");
     std::fs::rename(info, out.join("at/bin/.debug/mom-device.debug")).expect("it is moved");

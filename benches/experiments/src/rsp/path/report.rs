@@ -193,7 +193,8 @@ fn shares(track: &Track, rows: &[Row]) -> String {
     text + "\n"
 }
 
-/// What is read from it. The rate that TCP gets where packets are lost is Mathis's: 1.22 segments in a round trip, over the root of the loss.
+/// What is read from it. The rate that TCP gets where packets are lost is Mathis's: 1.22 segments in a round trip, over the root of the
+/// loss.
 fn words() -> String {
     let rate = |delay: u64| 1.22 * 1448.0 * 8.0 / (2.0 * delay as f64 * 1000.0 * BASE.loss.sqrt());
     let needed = |datagram: usize| ip_bytes(datagram) as f64 * 8.0 / PERIOD as f64;
