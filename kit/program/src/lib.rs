@@ -29,13 +29,18 @@ pub fn begin<A: Parser>(args: Vec<OsString>, log: &str) -> anyhow::Result<Option
         return Ok(None);
     }
     let args = A::parse_from(args);
+    begin_log(log);
+    Ok(Some(args))
+}
+
+/// Apart from [`begin`], which is compiled for each program's arguments.
+fn begin_log(log: &str) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(log));
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .init();
-    Ok(Some(args))
 }
 
 /// Done at Ctrl-C or SIGTERM.

@@ -15,7 +15,7 @@ use crate::device::installation::Installation;
 use crate::link::doors::Doors;
 use crate::link::login::{Connector, Local};
 use crate::link::{driver, reconnect};
-use crate::peer::shared::{Settings, Shared};
+use crate::peer::shared::{Boxed, Settings, Shared};
 use crate::wire::clock::{HubClock, Wall};
 use crate::wire::link_secret::LinkSecret;
 use crate::wire::proof::Credentials;
@@ -296,7 +296,16 @@ impl Builder {
     /// `Address` for a wrong address, `Local` for a bad key, a heartbeat out of range and, with the code `insecure`, for a password or
     /// token that others could read on the way, `Connection` and `TimedOut` for an unreachable hub, `Refused` with
     /// `bad-login` and other refusals of the hub.
-    pub async fn connect(mut self) -> Result<Client, ClientError> {
+    pub async fn connect(self) -> Result<Client, ClientError> {
+        self.connecting().await
+    }
+
+    /// See [`Boxed`].
+    fn connecting(self) -> Boxed<'static, Result<Client, ClientError>> {
+        Box::pin(self.connect_and_drive())
+    }
+
+    async fn connect_and_drive(mut self) -> Result<Client, ClientError> {
         if let Some(error) = self.fault {
             return Err(error);
         }

@@ -6,10 +6,13 @@ use mom_proto::{Code, ContextKind, Map, Path, WireError};
 use tokio::time::timeout;
 
 use crate::contexts::client::{Client, Handle};
-use crate::peer::shared::Shared;
+use crate::peer::shared::{Boxed, Shared};
 use crate::peer::wanted::{Terms, Want};
 use crate::words::text;
 use crate::{ClientError, Events};
+
+/// What comes of joining: the hub's reply is empty for the root.
+type Entered = Result<(Membership, Option<Arc<Map>>), ClientError>;
 
 /// Membership of a context and of all above it. When the last one of a context is dropped, the context is left, after
 /// all messages sent before.
@@ -84,12 +87,12 @@ impl Client {
         }
     }
 
-    /// Joins a context, parents first, on these terms if given; returns the hub's reply, which is empty for the root.
-    pub(crate) async fn enter(
-        &self,
-        path: &Path,
-        terms: Option<Terms>,
-    ) -> Result<(Membership, Option<Arc<Map>>), ClientError> {
+    /// Joins a context, parents first, on these terms if given.
+    pub(crate) fn enter<'a>(&'a self, path: &'a Path, terms: Option<Terms>) -> Boxed<'a, Entered> {
+        Box::pin(self.join_in_turn(path, terms))
+    }
+
+    async fn join_in_turn(&self, path: &Path, terms: Option<Terms>) -> Entered {
         let shared = &self.handle.shared;
         let (places, wants) = shared.want(&way_to(path), terms)?;
         let again = terms.filter(|_| !matches!(wants.last(), Some(Want::Join(_))));

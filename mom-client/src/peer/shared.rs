@@ -1,5 +1,6 @@
 //! What all proxies and the tasks of the link share.
 
+use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
@@ -20,6 +21,10 @@ use crate::wire::outbox::{Capacity, Entry, Follows, Message};
 use crate::wire::proof::Credentials;
 use crate::wire::welcome::Welcome;
 use crate::{ClientError, LinkState};
+
+/// A future that is compiled here. The body of an `async fn` is compiled in each crate that polls it, together with all that it awaits: each
+/// device and agent would compile the connection, the doors and the HTTP client once more, and have them once more in its program.
+pub(crate) type Boxed<'a, T> = Pin<Box<dyn Future<Output = T> + Send + 'a>>;
 
 /// Capacity for messages that wait to be written: 4 MiB in units of 1 KiB; and a quarter of that more for urgent ones, which
 /// would otherwise wait behind the senders that wait for capacity.
@@ -129,7 +134,11 @@ impl Shared {
     }
 
     /// Asks and waits for the reply.
-    pub(crate) async fn request(&self, mut parcel: Parcel) -> Result<Parcel, ClientError> {
+    pub(crate) fn request(&self, parcel: Parcel) -> Boxed<'_, Result<Parcel, ClientError>> {
+        Box::pin(self.ask_and_wait(parcel))
+    }
+
+    async fn ask_and_wait(&self, mut parcel: Parcel) -> Result<Parcel, ClientError> {
         let (sender, receiver) = oneshot::channel();
         let what = describe(&parcel);
         let id = self.id_of(&parcel);

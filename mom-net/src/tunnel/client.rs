@@ -1,6 +1,7 @@
 //! A client's end of a tunnel: some requests bring bytes up, others bring them down.
 
 use std::io;
+use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -109,7 +110,16 @@ pub async fn ask(tls: Option<&ClientTls>, request: Request<Bytes>) -> Result<Res
     ask_once(&http_address(host, port, secure), tls, request).await
 }
 
-async fn ask_once(
+fn ask_once<'a>(
+    address: &'a Address,
+    tls: Option<&'a ClientTls>,
+    request: Request<Bytes>,
+) -> Pin<Box<dyn Future<Output = Result<Response<Bytes>, NetError>> + Send + 'a>> {
+    // Boxed, so that the client of HTTP is compiled here, and not in each crate that asks.
+    Box::pin(ask_over_a_link(address, tls, request))
+}
+
+async fn ask_over_a_link(
     address: &Address,
     tls: Option<&ClientTls>,
     request: Request<Bytes>,
