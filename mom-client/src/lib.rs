@@ -66,6 +66,7 @@ pub use mom_proto::{
     Parcel, Path, Thinning, Time, TraceParent, Value, WireError, event, from_value, to_value, visible,
 };
 pub use peer::link_state::LinkState;
+pub use peer::shared::Boxed;
 pub use refusal::{Refusal, ordinal, plain_duration};
 pub use said::events::Event;
 pub use said::info::{ContextInfo, Member};

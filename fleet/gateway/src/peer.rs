@@ -3,7 +3,7 @@
 use std::future::Future;
 use std::sync::Arc;
 
-use mom_client::{Client, ClientError, Code};
+use mom_client::{Boxed, Client, ClientError, Code};
 use mom_wheeled::{ensure_session, enter_status, stay};
 use tokio::task::JoinSet;
 
@@ -21,12 +21,22 @@ use crate::station::RobotWire;
 /// # Errors
 ///
 /// A context that cannot be made or joined at the beginning, or connections that are closed for good.
-pub async fn run(
+pub fn run(
     clients: Vec<Client>,
     lines: Vec<RobotWire>,
     options: GatewayOptions,
     changes: Option<Changes>,
-    shutdown: impl Future<Output = ()>,
+    shutdown: impl Future<Output = ()> + Send + 'static,
+) -> Boxed<'static, Result<(), ClientError>> {
+    Box::pin(run_until(clients, lines, options, changes, Box::pin(shutdown)))
+}
+
+async fn run_until(
+    clients: Vec<Client>,
+    lines: Vec<RobotWire>,
+    options: GatewayOptions,
+    changes: Option<Changes>,
+    shutdown: Boxed<'static, ()>,
 ) -> Result<(), ClientError> {
     let Some(first) = clients.first() else {
         return Err(ClientError::Connection(

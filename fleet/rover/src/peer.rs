@@ -4,7 +4,7 @@ use std::future::Future;
 use std::pin::{Pin, pin};
 use std::time::Duration;
 
-use mom_client::{Channel, Client, ClientError, Delivery, Event, Family, Parcel, Path, Value};
+use mom_client::{Boxed, Channel, Client, ClientError, Delivery, Event, Family, Parcel, Path, Value};
 use mom_device::{DevicePeer, Machine as _, Outlet, State, instant_of, sender, sleep_or_wait, time_since};
 use mom_wheeled::{Rover, StatusTeller, come_back, ensure_session, enter, enter_status, stand, stay};
 use mom_wheels::pilot::Point;
@@ -61,11 +61,20 @@ impl RoverOptions {
 /// # Errors
 ///
 /// A context that cannot be made or joined at the beginning, or a connection that is closed for good. The robot stands then, too.
-pub async fn run(
+pub fn run(
     client: Client,
     rover: Rover,
     options: RoverOptions,
-    shutdown: impl Future<Output = ()>,
+    shutdown: impl Future<Output = ()> + Send + 'static,
+) -> Boxed<'static, Result<(), ClientError>> {
+    Box::pin(run_until(client, rover, options, Box::pin(shutdown)))
+}
+
+async fn run_until(
+    client: Client,
+    rover: Rover,
+    options: RoverOptions,
+    shutdown: Boxed<'static, ()>,
 ) -> Result<(), ClientError> {
     let begin = Instant::now();
     let mut rover = rover;

@@ -5,7 +5,7 @@ use std::future::{Future, pending};
 use std::pin::{Pin, pin};
 use std::time::Duration;
 
-use mom_client::{Channel, Client, ClientError, Code, Consult, Event, LinkState, WireError};
+use mom_client::{Boxed, Channel, Client, ClientError, Code, Consult, Event, LinkState, WireError};
 use mom_device::{
     DevicePeer, DeviceTime, Happening, Machine as _, come_back, ensure_above, ensure_guarded, instant_of,
     is_missing, sleep_or_wait, time_since,
@@ -130,13 +130,13 @@ type Entered = (Channel, Option<ZoneWatch>);
 /// # Errors
 ///
 /// [`ClientError`] if the channel cannot be joined or the connection is closed for good.
-pub async fn run(
+pub fn run(
     client: Client,
     options: ArmOptions,
-    shutdown: impl Future<Output = ()>,
-) -> Result<(), ClientError> {
+    shutdown: impl Future<Output = ()> + Send + 'static,
+) -> Boxed<'static, Result<(), ClientError>> {
     let arm = ArmMachine::new(Box::new(options.controller()));
-    run_arm(client, options, arm, shutdown).await
+    run_arm(client, options, arm, shutdown)
 }
 
 /// Runs an arm, with whatever controller it has, until `shutdown` is done. Then it halts, reports that, and logs out. Its time begins at 0.
@@ -146,11 +146,20 @@ pub async fn run(
 /// # Errors
 ///
 /// As [`run`].
-pub async fn run_arm(
+pub fn run_arm(
     client: Client,
     options: ArmOptions,
     arm: ArmMachine,
-    shutdown: impl Future<Output = ()>,
+    shutdown: impl Future<Output = ()> + Send + 'static,
+) -> Boxed<'static, Result<(), ClientError>> {
+    Box::pin(run_arm_until(client, options, arm, Box::pin(shutdown)))
+}
+
+async fn run_arm_until(
+    client: Client,
+    options: ArmOptions,
+    arm: ArmMachine,
+    shutdown: Boxed<'static, ()>,
 ) -> Result<(), ClientError> {
     let begin = Instant::now();
     let ended = live(

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::pin::pin;
 use std::time::Duration;
 
-use mom_client::{Channel, Client, ClientError, Code, Event, LinkState, Map, Path, Token, WireError};
+use mom_client::{Boxed, Channel, Client, ClientError, Code, Event, LinkState, Map, Path, Token, WireError};
 use mom_device::{ensure, ensure_above, ensure_guarded, is_missing};
 use mom_program::work::{done, send, users, wall};
 use mom_trace::Trace;
@@ -180,10 +180,18 @@ impl CameraOptions {
 /// # Errors
 ///
 /// [`ClientError`] if an option is bad, a context cannot be joined, or the connection is closed for good.
-pub async fn run(
+pub fn run(
     client: Client,
     options: CameraOptions,
-    shutdown: impl Future<Output = ()>,
+    shutdown: impl Future<Output = ()> + Send + 'static,
+) -> Boxed<'static, Result<(), ClientError>> {
+    Box::pin(run_until(client, options, Box::pin(shutdown)))
+}
+
+async fn run_until(
+    client: Client,
+    options: CameraOptions,
+    shutdown: Boxed<'static, ()>,
 ) -> Result<(), ClientError> {
     let mut server = options.server()?;
     let mut keeper = CalibrationKeeper::new(options.calibration_file()?);

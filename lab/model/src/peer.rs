@@ -6,8 +6,8 @@ use std::pin::pin;
 use std::time::Duration;
 
 use mom_client::{
-    Channel, Client, ClientError, Code, ContextKind, Event, Events, LinkState, Parcel, Path, Thinning, Time,
-    Token, WireError,
+    Boxed, Channel, Client, ClientError, Code, ContextKind, Event, Events, LinkState, Parcel, Path, Thinning,
+    Time, Token, WireError,
 };
 use mom_program::work::{done, send, users, wall};
 use tokio::sync::mpsc;
@@ -137,10 +137,18 @@ impl Looking {
 /// # Errors
 ///
 /// [`ClientError`] if an option is bad, a context cannot be joined, or the connection is closed for good.
-pub async fn run(
+pub fn run(
     client: Client,
     options: ModelOptions,
-    shutdown: impl Future<Output = ()>,
+    shutdown: impl Future<Output = ()> + Send + 'static,
+) -> Boxed<'static, Result<(), ClientError>> {
+    Box::pin(run_until(client, options, Box::pin(shutdown)))
+}
+
+async fn run_until(
+    client: Client,
+    options: ModelOptions,
+    shutdown: Boxed<'static, ()>,
 ) -> Result<(), ClientError> {
     let mut server = ModelServer::new(options.server()?, wall(&client));
     // The tasks end with this function.

@@ -22,9 +22,10 @@ use crate::wire::proof::Credentials;
 use crate::wire::welcome::Welcome;
 use crate::{ClientError, LinkState};
 
-/// A future that is compiled here. The body of an `async fn` is compiled in each crate that polls it, together with all that it awaits: each
-/// device and agent would compile the connection, the doors and the HTTP client once more, and have them once more in its program.
-pub(crate) type Boxed<'a, T> = Pin<Box<dyn Future<Output = T> + Send + 'a>>;
+/// A future that is compiled where it is boxed, in a function that is not `async`. The body of an `async fn` is compiled in each crate that
+/// polls it, together with all that it awaits: each device and agent would compile the connection, the doors and the HTTP client once more,
+/// and have them once more in its program.
+pub type Boxed<'a, T> = Pin<Box<dyn Future<Output = T> + Send + 'a>>;
 
 /// Capacity for messages that wait to be written: 4 MiB in units of 1 KiB; and a quarter of that more for urgent ones, which
 /// would otherwise wait behind the senders that wait for capacity.

@@ -5,7 +5,9 @@ use std::pin::pin;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
-use mom_client::{Channel, Client, ClientError, Delivery, Event, Events, Family, Map, Parcel, Time, Value};
+use mom_client::{
+    Boxed, Channel, Client, ClientError, Delivery, Event, Events, Family, Map, Parcel, Time, Value,
+};
 use mom_device::{DevicePeer, Machine as _, Outlet, State, sender, time_since};
 use mom_rsp::Kind;
 use mom_rsp::middle::Notice;
@@ -50,11 +52,20 @@ pub struct RobotLine {
 /// # Errors
 ///
 /// A context that cannot be made or joined at the beginning, or a connection that is closed for good.
-pub async fn run(
+pub fn run(
     client: Client,
     lines: Vec<RobotLine>,
     options: SimulacrumOptions,
-    shutdown: impl Future<Output = ()>,
+    shutdown: impl Future<Output = ()> + Send + 'static,
+) -> Boxed<'static, Result<(), ClientError>> {
+    Box::pin(run_until(client, lines, options, Box::pin(shutdown)))
+}
+
+async fn run_until(
+    client: Client,
+    lines: Vec<RobotLine>,
+    options: SimulacrumOptions,
+    shutdown: Boxed<'static, ()>,
 ) -> Result<(), ClientError> {
     let (stop, stopping) = watch::channel(false);
     let begin = Instant::now();

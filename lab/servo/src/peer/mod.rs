@@ -23,7 +23,9 @@ use std::future::{Future, pending};
 use std::pin::pin;
 use std::time::Duration;
 
-use mom_client::{Channel, Client, ClientError, Code, Event, LinkState, Map, Parcel, Value, WireError};
+use mom_client::{
+    Boxed, Channel, Client, ClientError, Code, Event, LinkState, Map, Parcel, Value, WireError,
+};
 use tokio::sync::watch as signal;
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
@@ -84,10 +86,18 @@ struct Job {
 /// # Errors
 ///
 /// [`ClientError`] if its channel cannot be joined, or the connection is closed for good.
-pub async fn run(
+pub fn run(
     client: Client,
     options: ServoOptions,
-    shutdown: impl Future<Output = ()>,
+    shutdown: impl Future<Output = ()> + Send + 'static,
+) -> Boxed<'static, Result<(), ClientError>> {
+    Box::pin(run_until(client, options, Box::pin(shutdown)))
+}
+
+async fn run_until(
+    client: Client,
+    options: ServoOptions,
+    shutdown: Boxed<'static, ()>,
 ) -> Result<(), ClientError> {
     let channel = client.channel(&options.channel).await?;
     let mut events = channel.events();

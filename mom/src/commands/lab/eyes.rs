@@ -13,7 +13,7 @@ use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio::time::{Instant, sleep};
 
-use super::{Devices, LOOK, READY, RunningPeer, log_in, ready, stopped};
+use super::{Devices, LOOK, READY, log_in, ready, stopped};
 use crate::failure::{Doing as _, Failure};
 
 /// So many robots have a page and a camera: more would keep the machine busy with pictures.
@@ -82,8 +82,7 @@ impl Eyes {
             let options = options(unit, *address, together)?;
             let place = options.channel.clone();
             make(&camera, &place).await?;
-            let running: RunningPeer =
-                Box::pin(mom_camera::peer::run(camera.clone(), options, stopped(stopping)));
+            let running = mom_camera::peer::run(camera.clone(), options, stopped(stopping));
             devices.spawn(async move { (format!("camera of robot {unit}"), running.await) });
             ready(&camera, &place).await?;
         }

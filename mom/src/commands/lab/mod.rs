@@ -5,7 +5,6 @@ use std::env;
 use std::io::{self, IsTerminal as _};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::Path;
-use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -63,9 +62,6 @@ const RECORDED: u64 = 32 * 1024 * 1024;
 /// The longest time for the devices to join their channels.
 const READY: Duration = Duration::from_secs(5);
 const LOOK: Duration = Duration::from_millis(10);
-
-/// A device of the lab while it runs.
-type RunningPeer = Pin<Box<dyn Future<Output = Result<(), ClientError>> + Send>>;
 
 /// What is in a lab.
 #[derive(Debug, Clone, Copy)]
@@ -227,7 +223,7 @@ async fn start_arm(
 ) -> Result<(), Failure> {
     let arm = log_in(broker, name, name.to_owned()).await?;
     let place = options.channel.clone();
-    let running: RunningPeer = Box::pin(mom_arm::peer::run(arm.clone(), options, stopped(stopping)));
+    let running = mom_arm::peer::run(arm.clone(), options, stopped(stopping));
     let name = name.to_owned();
     devices.spawn(async move { (name, running.await) });
     ready(&arm, &place).await
@@ -257,8 +253,7 @@ async fn start_devices(broker: &Arc<Broker>, stopping: &watch::Receiver<bool>) -
         let camera = log_in(broker, "camera", view.peer("camera")).await?;
         let options = CameraOptions::new(view);
         let place = options.channel.clone();
-        let running: RunningPeer =
-            Box::pin(mom_camera::peer::run(camera.clone(), options, stopped(stopping)));
+        let running = mom_camera::peer::run(camera.clone(), options, stopped(stopping));
         devices.spawn(async move { (format!("camera {view}"), running.await) });
         ready(&camera, &place).await?;
     }
@@ -266,23 +261,19 @@ async fn start_devices(broker: &Arc<Broker>, stopping: &watch::Receiver<bool>) -
     let model = log_in(broker, "model", "model".to_owned()).await?;
     let options = ModelOptions::default();
     let place = options.channel.clone();
-    let running: RunningPeer = Box::pin(mom_model::peer::run(model.clone(), options, stopped(stopping)));
+    let running = mom_model::peer::run(model.clone(), options, stopped(stopping));
     devices.spawn(async move { ("model".to_owned(), running.await) });
     ready(&model, &place).await?;
     let servo = log_in(broker, "servo", "servo".to_owned()).await?;
     let options = ServoOptions::default();
     let place = options.channel.clone();
-    let running: RunningPeer = Box::pin(mom_servo::peer::run(servo.clone(), options, stopped(stopping)));
+    let running = mom_servo::peer::run(servo.clone(), options, stopped(stopping));
     devices.spawn(async move { ("servo agent".to_owned(), running.await) });
     ready(&servo, &place).await?;
     let calibrator = log_in(broker, "calibrate", "calibrate".to_owned()).await?;
     let options = AgentOptions::default();
     let place = options.channel.clone();
-    let running: RunningPeer = Box::pin(mom_calibrate::agent::run(
-        calibrator.clone(),
-        options,
-        stopped(stopping),
-    ));
+    let running = mom_calibrate::agent::run(calibrator.clone(), options, stopped(stopping));
     devices.spawn(async move { ("calibration agent".to_owned(), running.await) });
     ready(&calibrator, &place).await?;
     Ok(devices)
