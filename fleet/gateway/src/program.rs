@@ -3,7 +3,6 @@
 use std::ffi::OsString;
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
-use std::pin::pin;
 
 use crate::{Changes, FleetFile, GatewayOptions, Taking, connections, lines, settings};
 use anyhow::{Context, anyhow};
@@ -11,7 +10,7 @@ use clap::Parser;
 use mom_base_station::fleet::Fleet;
 use mom_base_station::station::Station;
 use mom_brs::file;
-use mom_program::{HubArgs, begin, shutdown};
+use mom_program::{HubArgs, begin, shutdown_but_hangup};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{mpsc, watch};
 
@@ -59,7 +58,7 @@ pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
     let Some(args) = begin::<GatewayArgs>(args, "info")? else {
         return Ok(());
     };
-    let mut shutdown = pin!(shutdown()?);
+    let mut shutdown = Box::pin(shutdown_but_hangup()?);
     // With a mistake in a file nothing is started.
     let fleet =
         Fleet::parse(&read(&args.fleet)?).map_err(|error| anyhow!("{}:{error}", args.fleet.display()))?;
@@ -86,7 +85,7 @@ pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
             taken: taken.clone(),
         }),
     };
-    let ends = async {
+    let ends = async move {
         tokio::select! {
             () = shutdown => {}
             () = follow(&args.fleet, hangup, taken) => {}

@@ -327,14 +327,18 @@ fn fleet(addresses: &[SocketAddr], units: &RangeInclusive<u16>, group: Option<&s
     text
 }
 
-/// Done at Ctrl-C or SIGTERM.
+/// Done at Ctrl-C and SIGTERM, and at what a terminal says that is closed or left by Ctrl-\.
 fn shutdown() -> anyhow::Result<impl Future<Output = ()>> {
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
+    let mut hangup = signal(SignalKind::hangup())?;
+    let mut quit = signal(SignalKind::quit())?;
     Ok(async move {
         tokio::select! {
             _ = interrupt.recv() => {}
             _ = terminate.recv() => {}
+            _ = hangup.recv() => {}
+            _ = quit.recv() => {}
         }
     })
 }

@@ -2,7 +2,6 @@
 
 use std::ffi::OsString;
 use std::path::PathBuf;
-use std::pin::pin;
 use std::time::Duration;
 
 use crate::RoverOptions;
@@ -93,7 +92,7 @@ pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
     let Some(mut args) = begin::<RoverArgs>(args, "info")? else {
         return Ok(());
     };
-    let mut shutdown = pin!(shutdown()?);
+    let mut shutdown = Box::pin(shutdown()?);
     let options = options(&args)?;
     let model = model(args.model.as_deref())?;
     let robot = simulated(&model, &args)?;

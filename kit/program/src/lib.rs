@@ -43,18 +43,37 @@ fn begin_log(log: &str) {
         .init();
 }
 
-/// Done at Ctrl-C or SIGTERM.
+/// Done at Ctrl-C and SIGTERM, and at what a terminal says that is closed or left by Ctrl-\ (SIGHUP, SIGQUIT): a device halts whatever asks
+/// it to end.
 ///
 /// # Errors
 ///
 /// The system does not let it listen for them.
 pub fn shutdown() -> anyhow::Result<impl Future<Output = ()>> {
+    let mut hangup = signal(SignalKind::hangup()).context("cannot listen for SIGHUP")?;
+    let ended = shutdown_but_hangup()?;
+    Ok(async move {
+        tokio::select! {
+            _ = hangup.recv() => tracing::info!("ending"),
+            () = ended => {}
+        }
+    })
+}
+
+/// The same for a program to which SIGHUP says something else.
+///
+/// # Errors
+///
+/// As [`shutdown`].
+pub fn shutdown_but_hangup() -> anyhow::Result<impl Future<Output = ()>> {
     let mut interrupt = signal(SignalKind::interrupt()).context("cannot listen for Ctrl-C")?;
     let mut terminate = signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?;
+    let mut quit = signal(SignalKind::quit()).context("cannot listen for SIGQUIT")?;
     Ok(async move {
         tokio::select! {
             _ = interrupt.recv() => {}
             _ = terminate.recv() => {}
+            _ = quit.recv() => {}
         }
         tracing::info!("ending");
     })

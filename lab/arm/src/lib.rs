@@ -11,11 +11,9 @@
 //!    and [`reach`] (the joints of an ABB IRB 1400, M49) check every leg of the whole script before anything moves;
 //!    [`rapid`] is what a real controller would be told (M51);
 //! 3. the queue of `mom-device`, which every device has, begins its statements one after the other, and [`machine`] gives the
-//! [`controller`] one
-//!    instruction after the other; [`arm`] is both without a hub;
+//!    [`controller`] one instruction after the other; [`arm`] is both without a hub;
 //! 4. the controller carries them out: a real one, or the simulated one, for which [`motion`] gives the hand's posture at a time (150 mm/s,
-//! M49),
-//!    [`contact`] what it meets, and [`blocks`] how blocks are pushed, taken, fall and topple.
+//!    M49), [`contact`] what it meets, and [`blocks`] how blocks are pushed, taken, fall and topple.
 //!
 //! `mom-device`'s server decides how the arm reacts to the parcels and events of its channel, as for every device; [`peer::run`] connects
 //! it to the hub, in a program of its own (`mom-arm`) or in another one, and keeps it out of closed [`zones`].

@@ -2,7 +2,6 @@
 
 use std::ffi::OsString;
 use std::path::PathBuf;
-use std::pin::pin;
 use std::time::Duration;
 
 use crate::controller::{Controller, LinkFault, Traced};
@@ -93,7 +92,7 @@ pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
     let Some(args) = begin::<ArmArgs>(args, "info")? else {
         return Ok(());
     };
-    let mut shutdown = pin!(shutdown()?);
+    let mut shutdown = Box::pin(shutdown()?);
     let login = args.hub.login("mom-arm", env!("CARGO_PKG_VERSION"))?;
     let Some(client) = args.hub.connect(login, &mut shutdown).await? else {
         return Ok(());

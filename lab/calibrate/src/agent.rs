@@ -18,7 +18,7 @@ use std::pin::pin;
 use std::time::Duration;
 
 use mom_client::{
-    Boxed, Channel, Client, ClientError, Code, Event, LinkState, Map, Parcel, Token, Value, WireError,
+    Channel, Client, ClientError, Code, Event, LinkState, Map, Parcel, Token, Value, WireError,
 };
 use mom_drive::{DeviceChannel, Doing as _, Holding, Robot, VerbFailure};
 use tokio::sync::{mpsc, watch};
@@ -89,18 +89,10 @@ struct Agent {
 /// # Errors
 ///
 /// [`ClientError`] if its channel cannot be joined, or the connection is closed for good.
-pub fn run<'a>(
+pub async fn run(
     client: Client,
     options: AgentOptions,
-    shutdown: impl Future<Output = ()> + Send + 'a,
-) -> Boxed<'a, Result<(), ClientError>> {
-    Box::pin(run_until(client, options, Box::pin(shutdown)))
-}
-
-async fn run_until(
-    client: Client,
-    options: AgentOptions,
-    shutdown: Boxed<'_, ()>,
+    shutdown: impl Future<Output = ()>,
 ) -> Result<(), ClientError> {
     let channel = client.channel(&options.channel).await?;
     let mut events = channel.events();

@@ -2,7 +2,6 @@
 
 use std::ffi::OsString;
 use std::path::PathBuf;
-use std::pin::pin;
 
 use crate::{CameraOptions, CameraSettings, Rendition, SettingsChange, Source, SourceUrl, View, peer};
 use anyhow::Context;
@@ -87,7 +86,7 @@ pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
     let Some(args) = begin::<CameraArgs>(args, "info")? else {
         return Ok(());
     };
-    let mut shutdown = pin!(shutdown()?);
+    let mut shutdown = Box::pin(shutdown()?);
     let options = options(&args)?;
     let login = args.hub.login("mom-camera", env!("CARGO_PKG_VERSION"))?;
     let login = login.nickname(args.view.peer(args.hub.user()));

@@ -1,7 +1,6 @@
 //! The model server of the lab as a program of its own.
 
 use std::ffi::OsString;
-use std::pin::pin;
 
 use crate::{Kind, ModelOptions, peer};
 use anyhow::Context;
@@ -51,7 +50,7 @@ pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
     let Some(args) = begin::<ModelArgs>(args, "info")? else {
         return Ok(());
     };
-    let mut shutdown = pin!(shutdown()?);
+    let mut shutdown = Box::pin(shutdown()?);
     let login = args.hub.login("mom-model", env!("CARGO_PKG_VERSION"))?;
     let Some(client) = args.hub.connect(login, &mut shutdown).await? else {
         return Ok(());

@@ -1,7 +1,6 @@
 //! The visual-servoing agent as a program of its own.
 
 use std::ffi::OsString;
-use std::pin::pin;
 
 use crate::peer::{self, ServoOptions};
 use anyhow::Context;
@@ -49,7 +48,7 @@ pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
     let Some(args) = begin::<ServoArgs>(args, "info")? else {
         return Ok(());
     };
-    let mut shutdown = pin!(shutdown()?);
+    let mut shutdown = Box::pin(shutdown()?);
     let login = args.hub.login("mom-servo", env!("CARGO_PKG_VERSION"))?;
     let Some(client) = args.hub.connect(login, &mut shutdown).await? else {
         return Ok(());

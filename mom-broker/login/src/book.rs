@@ -10,7 +10,7 @@ use mom_proto::{BadFingerprint, Code, Fingerprint, Map, Micros, Time, WireError,
 use super::hashing::Hashing;
 use super::jwt::{Proven, Verifier};
 use super::key::parse_key;
-use super::password;
+use super::password::Decoys;
 use super::user::GUEST;
 use crate::{LoginConfig, SettingError, UserEntry};
 
@@ -35,8 +35,7 @@ pub(super) struct Book {
     pub(super) keys: usize,
     pub(super) settings: LoginConfig,
     pub(super) hashing: Arc<Hashing>,
-    /// Checked in place of an unknown user's hash, so that the time does not reveal which users exist.
-    pub(super) decoy: String,
+    pub(super) decoys: Decoys,
     verifier: Option<Arc<Verifier>>,
     guest: Arc<User>,
 }
@@ -118,7 +117,7 @@ impl Book {
                 .max()
                 .unwrap_or_default()
                 .max(1),
-            decoy: password::decoy(users.values().filter_map(|user| user.password.as_deref())),
+            decoys: Decoys::new(users.values().filter_map(|user| user.password.as_deref())),
             users,
             settings,
             hashing,

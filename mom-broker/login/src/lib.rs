@@ -308,7 +308,7 @@ impl Logins {
         let known = place.filter(|place| self.places.knows(name, *place));
         let entry = book.users.get(name).filter(|entry| entry.password.is_some());
         let expected = entry.and_then(|entry| entry.password.clone());
-        let expected = expected.unwrap_or_else(|| book.decoy.clone());
+        let expected = expected.unwrap_or_else(|| book.decoys.of(name).to_owned());
         let shown = expected.clone();
         let known = known.map(|place| (name.to_owned(), place));
         let matches = book

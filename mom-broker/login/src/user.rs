@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use crate::SettingError;
 use crate::key::parse_key;
-use crate::password::is_hash;
+use crate::password;
 
 /// The user and the group of guests.
 pub const GUEST: &str = "guest";
@@ -69,8 +69,8 @@ impl UserEntry {
             let text = format!("guests are let in under the name {:?}", self.name);
             return wrong(&["name"], text);
         }
-        if self.password.as_deref().is_some_and(|hash| !is_hash(hash)) {
-            let text = format!("no argon2id hash; make one with: mom-broker passwd {}", self.name);
+        if let Some(fault) = self.password.as_deref().and_then(password::fault) {
+            let text = format!("{fault}; make one with: mom-broker passwd {}", self.name);
             return wrong(&["password"], text);
         }
         for (index, key) in self.keys.iter().enumerate() {

@@ -18,6 +18,27 @@ fn obeys(hub: &str) {
     }
 }
 
+/// `mom fleet list` tells what the gateway says that has the robot, and not what the one before it said last.
+fn moves_in_the_list(hub: &str) {
+    let user = [("MOM_HUB", hub), ("MOM_USER", "alice"), ("MOM_PASSWORD", "alice")];
+    let driving = Running::start("mom", &["fleet", "send", "1", "motor 100 -100 60000"], &user);
+    let until = std::time::Instant::now() + PATIENCE;
+    loop {
+        let output = run("mom", &["--json", "fleet", "list"], &user);
+        let said = text(&output.stdout);
+        if said.contains("\"moving\":true") && said.contains("\"owner\":\"alice\"") {
+            break;
+        }
+        assert!(
+            std::time::Instant::now() < until,
+            "{said}{}",
+            text(&output.stderr)
+        );
+    }
+    driving.signal("INT");
+    driving.wait();
+}
+
 #[test]
 fn a_gateway_without_a_place_in_the_channels_leaves_the_robots_to_the_other() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -44,6 +65,7 @@ fn a_gateway_without_a_place_in_the_channels_leaves_the_robots_to_the_other() {
     // The same program, started once more: the first is put out, and hangs up.
     let second = gateway(&own);
     obeys(&hub);
+    moves_in_the_list(&hub);
     // A spare one waits until there is a place, and takes nothing before.
     let spare = gateway(&other);
     obeys(&hub);

@@ -307,6 +307,33 @@ async fn only_signals_that_say_so_stop_a_broker() {
     assert_eq!(status.expect("waited for").code(), Some(0));
 }
 
+/// A device halts when its program ends, so nothing ends it at once that can be asked for an end in order.
+#[test]
+fn a_device_ends_in_order_at_each_signal_that_asks_it_to() {
+    let (_broker, hub) = Running::broker(&project().join("config/lab.toml"));
+    let hub = format!("bin://{hub}");
+    let user = [
+        ("MOM_HUB", hub.as_str()),
+        ("MOM_USER", "alice"),
+        ("MOM_PASSWORD", "alice"),
+    ];
+    for signal in ["INT", "TERM", "HUP", "QUIT"] {
+        let linuxbot = Running::start("mom-linuxbot", &["--listen", "127.0.0.1:0"], &[]);
+        let cubo = Running::start("mom-cubo", &["--listen", "127.0.0.1:0"], &[]);
+        let arm = Running::start("mom-arm", &["--hub", &hub], &[("MOM_PASSWORD", "arm")]);
+        linuxbot.line_with("127.0.0.1:");
+        cubo.line_with("cubo listens on");
+        let until = std::time::Instant::now() + PATIENCE;
+        while !run("mom", &["stop", "/robot/arm"], &user).status.success() {
+            assert!(std::time::Instant::now() < until, "the arm never answered");
+        }
+        for device in [linuxbot, cubo, arm] {
+            device.signal(signal);
+            assert_eq!(device.wait().code(), Some(0), "{signal}");
+        }
+    }
+}
+
 /// README's first command: a hub, an arm and a camera in one process, and what to try next.
 #[tokio::test(flavor = "multi_thread")]
 async fn the_lab_in_one_process() {

@@ -4,7 +4,6 @@ use std::ffi::OsString;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
-use std::pin::pin;
 
 use crate::{RobotLine, Simulacrum, SimulacrumOptions, chassis, serve};
 use anyhow::{Context, anyhow};
@@ -97,7 +96,7 @@ pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
     let Some(args) = begin::<SimulacrumArgs>(args, "info")? else {
         return Ok(());
     };
-    let mut shutdown = pin!(shutdown()?);
+    let mut shutdown = Box::pin(shutdown()?);
     let login = args.hub.login("mom-simulacrum", env!("CARGO_PKG_VERSION"))?;
     let (lines, sockets) = robots(&args).await?;
     let Some(client) = args.hub.connect(login, &mut shutdown).await? else {

@@ -1,6 +1,8 @@
 //! `mom fleet list`.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
+use std::collections::btree_map::{BTreeMap, Entry};
+use std::time::Duration;
 
 use mom_client::{Client, ContextKind, Event, Value};
 use mom_drive::{Doing as _, Tell, VerbFailure};
@@ -9,6 +11,9 @@ use tokio::time::{Instant, timeout_at};
 
 use super::SAID;
 use super::units::Known;
+
+/// For so long no more of what is kept comes where all of it has come.
+const QUIET: Duration = Duration::from_millis(100);
 
 /// The numbers of the robots that are there.
 pub(super) async fn units(fleet: &str, client: &Client) -> Result<BTreeSet<u32>, VerbFailure> {
@@ -31,6 +36,16 @@ pub(super) async fn units(fleet: &str, client: &Client) -> Result<BTreeSet<u32>,
 struct Row {
     content: Value,
     age_ms: Option<f64>,
+}
+
+impl Row {
+    /// An unknown age is older than any.
+    fn is_newer_than(&self, other: &Row) -> bool {
+        match (self.age_ms, other.age_ms) {
+            (Some(mine), Some(theirs)) => mine < theirs,
+            (mine, _) => mine.is_some(),
+        }
+    }
 }
 
 pub(super) async fn run(fleet: &str, client: &Client, tell: Tell<'_>) -> Result<(), VerbFailure> {
@@ -65,9 +80,14 @@ async fn rows(
     let channel = client.channel(&path).await.doing(format!("join {path}"))?;
     let mut events = channel.events();
     let mut rows: BTreeMap<u32, Row> = BTreeMap::new();
-    let until = Instant::now() + SAID;
-    // What is kept comes first; a robot of which nothing is kept has never been heard of.
-    while rows.len() < units.len() {
+    let patience = Instant::now() + SAID;
+    // What is kept comes first and at once; a robot of which nothing is kept has never been heard of. Of one there may be several: what a
+    // gateway said that has been killed, or replaced by another, is kept beside what its successor says.
+    loop {
+        let until = match rows.len() < units.len() {
+            true => patience,
+            false => patience.min(Instant::now() + QUIET),
+        };
         let Ok(Some(event)) = timeout_at(until, events.next()).await else {
             break;
         };
@@ -78,7 +98,19 @@ async fn rows(
         {
             let age = client.clock().age(&parcel);
             let age_ms = age.map(|age| age.duration().as_secs_f64() * 1000.0);
-            rows.insert(unit, Row { content, age_ms });
+            let row = Row { content, age_ms };
+            match rows.entry(unit) {
+                Entry::Occupied(known) if known.get().is_newer_than(&row) => {}
+                Entry::Occupied(mut known) => {
+                    known.insert(row);
+                }
+                Entry::Vacant(place) => {
+                    place.insert(row);
+                }
+            }
+        }
+        if Instant::now() >= patience {
+            break;
         }
     }
     Ok(rows)

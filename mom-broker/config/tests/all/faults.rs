@@ -185,6 +185,21 @@ fn wrong_users() {
     );
 }
 
+/// What one login may cost is bounded.
+#[test]
+fn hashes_of_wrong_costs() {
+    let hash = hash("secret").expect("a hash");
+    for (costs, words) in [
+        ("m=4194304,t=9", "too costly"),
+        ("m=7,t=1", "costs that argon2 does not have"),
+    ] {
+        let costly = hash.replace("m=19456,t=2", costs);
+        assert_ne!(costly, hash);
+        let user = format!("[[users]]\nname = \"ann\"\n¦password = \"{costly}\"\n");
+        check_users(&user, "users[0].password", words);
+    }
+}
+
 #[test]
 fn wrong_keys_of_users() {
     let key = "ed25519 Gb9ECWmEzf6FQbrBZ9w7lshQhqowtrbLDFw4rXAxZuE=";
