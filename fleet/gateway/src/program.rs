@@ -95,7 +95,7 @@ pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
     let left = station.halt().await;
     station.close().await;
     if !left.is_empty() {
-        tracing::error!(units = ?left, "these robots may be moving: they were not told to stand in time");
+        tracing::error!(units = ?left, "these robots may be moving: they have not confirmed their stop");
     }
     ended.context("the gateway ended")
 }

@@ -153,6 +153,10 @@ struct Up {
     next_null: i64,
     /// When the NULLs were sent that have no reply yet; replies come in this order.
     unanswered: VecDeque<Since>,
+    /// How many NULLs have been sent and answered, and how many had been sent before the last stop.
+    nulls_sent: u64,
+    nulls_answered: u64,
+    nulls_before_stop: u64,
     /// How many replies are owed, and how many have come that were not, beyond those that were.
     owed: u32,
     unasked: u32,
@@ -266,6 +270,18 @@ impl Circuit {
         self.in_motion
     }
 
+    /// Whether the robot has read the last stop, and nothing waits: it reads in order, and has answered a NULL that was written after.
+    #[must_use]
+    pub fn is_stop_heard(&self) -> bool {
+        match &self.phase {
+            Phase::Up(up) => {
+                let is_written = !self.in_motion && up.waiting.len() == 0;
+                is_written && up.nulls_answered > up.nulls_before_stop
+            }
+            _ => false,
+        }
+    }
+
     /// How many bytes may be read of the robot now; at 0, wait until [`Circuit::next_wake`].
     #[must_use]
     pub fn may_read(&mut self, now: i64) -> usize {
@@ -292,7 +308,8 @@ impl Circuit {
         up.waiting.push(frame)
     }
 
-    /// Drops what waits, and stops the motors before anything else: of a robot that takes commands, in motion or not.
+    /// Drops what waits, and stops the motors before anything else: of a robot that takes commands, in motion or not. A NULL behind it shows
+    /// that it was read ([`Circuit::is_stop_heard`]).
     ///
     /// # Errors
     ///
@@ -303,7 +320,12 @@ impl Circuit {
             Phase::Up(up) if up.heard => {
                 up.waiting.clear();
                 let stop = Frame::new(&Command::MOTOR, &[0, 0]).map_err(|_| Refusal::NoCommand)?;
-                up.waiting.push(stop).map(|_| ())
+                up.waiting.push(stop)?;
+                if up.unanswered.len() < MOST_UNANSWERED {
+                    let null = Frame::new(&Command::NULL, &[]).map_err(|_| Refusal::NoCommand)?;
+                    up.waiting.push(null)?;
+                }
+                Ok(())
             }
             _ => Err(Refusal::NotWritable(state)),
         }
@@ -392,12 +414,18 @@ impl Circuit {
         let is_answered = self.table.get(frame.code()).is_some_and(|of| of.reply.is_some());
         up.owed = (up.owed + u32::from(is_answered)).min(MOST_OWED);
         match frame.code() {
-            Code::NULL => up.unanswered.push_back(Since {
-                at: now,
-                late: up.late,
-            }),
+            Code::NULL => {
+                up.nulls_sent += 1;
+                up.unanswered.push_back(Since {
+                    at: now,
+                    late: up.late,
+                });
+            }
             Code::STATUS | Code::LEDS | Code::POSE => {}
-            Code::MOTOR => self.in_motion = frame.values().iter().any(|speed| *speed != 0),
+            Code::MOTOR => {
+                self.in_motion = frame.values().iter().any(|speed| *speed != 0);
+                up.nulls_before_stop = up.nulls_sent;
+            }
             _ => self.in_motion = true,
         }
         self.outputs.push_back(Output::Note(Note::Sent(frame)));
@@ -490,6 +518,9 @@ impl Circuit {
             blocked: None,
             next_null: now,
             unanswered: VecDeque::new(),
+            nulls_sent: 0,
+            nulls_answered: 0,
+            nulls_before_stop: 0,
             owed: 0,
             unasked: 0,
             flood: None,
@@ -555,6 +586,7 @@ impl Circuit {
             match frame.code() {
                 Code::NULL => {
                     let sent = up.unanswered.pop_front();
+                    up.nulls_answered += u64::from(sent.is_some());
                     round_trip = sent.map(|sent| now.saturating_sub(sent.at).max(0));
                 }
                 Code::STATUS => self.status = frame.values().first().copied(),

@@ -380,9 +380,12 @@ fn without_a_waiting_motor_a_full_queue_refuses_a_motor_too() {
     circuit.take(2, Input::Unblocked);
     assert_eq!(
         written(&mut circuit, 2),
-        "06 00000 00000",
-        "to halt drops all that waits"
+        "06 00000 00000|00",
+        "to halt drops all that waits, and asks whether it was read"
     );
+    assert!(!circuit.is_stop_heard(), "it is only written");
+    circuit.take(3, Input::Bytes(b"00"));
+    assert!(circuit.is_stop_heard());
 }
 
 #[test]

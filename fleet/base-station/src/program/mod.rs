@@ -141,7 +141,7 @@ async fn finish(station: &Station) -> Result<()> {
     if !left.is_empty() {
         let units: Vec<String> = left.iter().map(Unit::to_string).collect();
         bail!(
-            "these units were started and could not be stopped: {}",
+            "these units were started, and have not confirmed their stop: {}",
             units.join(", ")
         );
     }

@@ -91,7 +91,7 @@ pub(super) async fn show(
 
 async fn halt(station: Station, tell: UnboundedSender<String>) {
     for unit in station.halt().await {
-        let _ = tell.send(format!("unit {unit} could not be stopped"));
+        let _ = tell.send(format!("unit {unit} has not confirmed its stop"));
     }
 }
 

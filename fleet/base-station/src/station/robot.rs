@@ -115,12 +115,13 @@ impl Seat {
         moving
     }
 
-    /// Waits until the stop is written; false if it never will be.
+    /// Waits until the robot has read its stop; false if it never will.
     pub(super) async fn halted(&self) -> bool {
         self.until(|| {
             let circuit = self.circuit.lock();
             match circuit.state() {
-                State::Writable if circuit.waiting() == 0 => Some(!circuit.is_in_motion()),
+                State::Writable if circuit.waiting() == 0 && circuit.is_in_motion() => Some(false),
+                State::Writable if circuit.is_stop_heard() => Some(true),
                 State::Writable | State::Connected => None,
                 State::Trying | State::Disconnected => Some(false),
             }

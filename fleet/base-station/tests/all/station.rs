@@ -382,6 +382,22 @@ async fn a_robot_that_was_set_in_motion_and_is_lost_is_named_by_halt() {
     assert_eq!(station.halt().await, [1]);
 }
 
+/// What is written may lie in a network, or before a program that is frozen: only what the robot has read stops it.
+#[tokio::test]
+async fn a_robot_that_answers_nothing_more_is_named_by_halt() {
+    let (mut one, two) = (Robot::start().await, Robot::start().await);
+    let station = station(&[one.port, two.port], Options::default());
+    station.connect_all();
+    writable(&station, 1).await;
+    writable(&station, 2).await;
+    station.send(1, motor(7, 7)).unwrap();
+    station.send(2, motor(7, 7)).unwrap();
+    assert_eq!(one.command().await, "06 00007 00007");
+    one.tell("mute").await;
+    assert_eq!(station.halt().await, [1]);
+    assert_eq!(one.command().await, "06 00000 00000");
+}
+
 #[tokio::test]
 async fn two_hundred_robots_are_connected_by_one_station() {
     let listener = TcpListener::bind("0.0.0.0:0").await.unwrap();
