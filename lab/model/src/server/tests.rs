@@ -408,9 +408,9 @@ fn nonsense_is_not_written() {
     for (content, words) in [
         (new().with("name", ""), "name must be 1 to 40"),
         (new().with("name", "a/b"), "name must be 1 to 40"),
-        (new().with("x", "far"), "x is a number"),
-        (new().with("z", 1e9 as i64), "z is a number"),
-        (new().with("size", 0), "size is a number"),
+        (new().with("x", "far"), "x must be a number"),
+        (new().with("z", 1e9 as i64), "z must be a number"),
+        (new().with("size", 0), "size must be a number"),
         (new().with("colour", "red"), "colour is"),
         (new().with("remove", 1), "remove is true or false"),
         (new().with("wheels", 4), "no \"wheels\""),
