@@ -211,7 +211,7 @@ test("a camera that turns is turned by who holds its token", async (t) => {
   const page = await open(t, undefined, only("/camera/pan"));
   const camera = page.locator("mom-camera");
   await camera.getByText("Aim", { exact: true }).click();
-  await camera.getByText("Nobody holds /camera/pan-token").waitFor();
+  await camera.getByText("/camera/pan-token is free").waitFor();
   assert.ok(await camera.getByRole("button", { name: "Turn right" }).isDisabled());
   await camera.getByRole("button", { name: "Grab" }).click();
   await camera.getByRole("button", { name: "Turn right" }).click();

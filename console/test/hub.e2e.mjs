@@ -157,7 +157,7 @@ test("an operator makes and deletes a context; others are told by which rule the
   await context.getByRole("button", { name: "Delete" }).click();
   await page.getByRole("button", { name: "Delete it" }).click();
   await row(page, "/workshop").waitFor({ state: "detached" });
-  await alice.locator("mom-context").getByText("/workshop is not there").waitFor();
+  await alice.locator("mom-context").getByText("/workshop does not exist").waitFor();
   await row(alice, "/workshop").waitFor({ state: "detached" });
   // What stands in the configuration cannot be deleted, and the page says so.
   await row(page, "/chat").click();

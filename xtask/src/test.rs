@@ -63,14 +63,12 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
     if !whole {
         return run_cargo(root, args, None);
     }
-    // The other languages' tests wait for their programs, and for times, more than they compute.
-    std::thread::scope(|scope| {
-        let others = scope.spawn(|| run_others(root, &programs));
-        let counts = run_cargo(root, args, Some(&programs))?;
-        let (said, more) = others.join().expect("it does not panic")?;
-        print!("{said}");
-        Ok(counts.and(more))
-    })
+    // Not side by side: browsers and devices took each other's processor on two cores, and an arm that stands still for a quarter of a
+    // second halts.
+    let (said, others) = run_others(root, &programs)?;
+    let counts = run_cargo(root, args, Some(&programs))?;
+    print!("{said}");
+    Ok(counts.and(others))
 }
 
 /// Runs the tests of the clients in other languages and of the console, one after the other; gives what they say, and their counts.

@@ -92,7 +92,7 @@ def test_a_stream_is_opened_wherever_it_is_cut_and_only_where_it_was_asked_for()
         decoder.takes_stream = True
         parcels = [parcel for at in range(0, len(whole), size) for parcel, _ in decoder.feed(whole[at : at + size])]
         assert [parcel.name for parcel in parcels] == ["ping"] * 6, size
-    with pytest.raises(LocalError, match="kind 2"):
+    with pytest.raises(LocalError, match="frame 2"):
         list(binary.Decoder().feed(whole))
 
 

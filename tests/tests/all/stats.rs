@@ -328,7 +328,7 @@ async fn the_command_line_shows_it() {
     let refused = mom(&["stats", "/robot/token"]).output().await.expect("runs");
     assert_eq!(refused.status.code(), Some(1));
     assert!(
-        text(&refused.stderr).contains("only channels count"),
+        text(&refused.stderr).contains("only channels have statistics"),
         "{refused:?}"
     );
 }

@@ -7,6 +7,7 @@
 mod backoff;
 mod budget;
 mod faults;
+mod options;
 mod state;
 #[cfg(test)]
 mod tests;
@@ -14,13 +15,14 @@ mod waiting;
 
 use std::collections::VecDeque;
 
-use mom_brs::{Code, Command, Direction, Encoded, Frame, MOST_ASTRAY, Parser, SILENCE, Table};
+use mom_brs::{Code, Command, Direction, Encoded, Frame, MOST_ASTRAY, Parser, Table};
 
 use self::backoff::Backoff;
 use self::budget::Budget;
 use self::waiting::Waiting;
 
 pub use faults::Faults;
+pub use options::Options;
 pub use state::{End, Refusal, State, Taken};
 pub use waiting::MOST_WAITING;
 
@@ -91,41 +93,6 @@ pub enum Note {
     State(State),
     /// An attempt failed, or the connection ended.
     Ended(End),
-}
-
-/// How a circuit behaves; the times are µs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Options {
-    /// Between two NULLs (W8).
-    pub null_period: i64,
-    /// After so much silence within a frame, what is half read is dropped.
-    pub idle: i64,
-    /// Before the second attempt; before each further one it doubles.
-    pub first_backoff: i64,
-    /// The most between two attempts.
-    pub most_backoff: i64,
-    /// An attempt takes no longer.
-    pub connect_timeout: i64,
-    /// After so many failed attempts in a row it gives up; `None`: never.
-    pub attempts: Option<u32>,
-    /// The most bytes that are read of a robot in a second. The rest stays in the network, which slows the sender down.
-    pub read_rate: u32,
-}
-
-/// NULL every 10 s; the wire's [`SILENCE`]; attempts after 0.5 s to 10 s, each of 5 s, without end; 4 KiB/s, twenty times
-/// what the paper's ten commands in a second amount to.
-impl Default for Options {
-    fn default() -> Options {
-        Options {
-            null_period: 10 * SECOND,
-            idle: SILENCE.as_micros() as i64,
-            first_backoff: SECOND / 2,
-            most_backoff: 10 * SECOND,
-            connect_timeout: 5 * SECOND,
-            attempts: None,
-            read_rate: 4096,
-        }
-    }
 }
 
 /// Where the connection is, and what is known only there.
@@ -308,8 +275,8 @@ impl Circuit {
         up.waiting.push(frame)
     }
 
-    /// Drops what waits, and stops the motors before anything else: of a robot that takes commands, in motion or not. A NULL behind it shows
-    /// that it was read ([`Circuit::is_stop_heard`]).
+    /// Drops what waits, and stops the motors before anything else: of a robot that takes commands, in motion or not. A NULL behind it
+    /// shows that it was read ([`Circuit::is_stop_heard`]).
     ///
     /// # Errors
     ///
