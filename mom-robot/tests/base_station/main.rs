@@ -67,7 +67,8 @@ async fn send_tells_what_it_sent_and_stops_the_robot_at_the_end() {
     }
     robot.until("closed").await;
     let wires = |kind: &str| wires(&log, kind);
-    assert_eq!(wires("in"), ["00"]);
+    // The second answer tells that the stop was read.
+    assert_eq!(wires("in"), ["00", "00"]);
     assert_eq!(
         wires("out"),
         [
@@ -75,7 +76,8 @@ async fn send_tells_what_it_sent_and_stops_the_robot_at_the_end() {
             "06 00050 -0050",
             "06 00050 -0050",
             "06 00050 -0050",
-            "06 00000 00000"
+            "06 00000 00000",
+            "00"
         ]
     );
 }
@@ -206,11 +208,18 @@ async fn without_a_terminal_it_takes_statements_as_lines_and_terminated_within_o
     assert_eq!(robot.command().await, "06 00009 00009");
     let killed = Command::new("kill").arg(child.id().to_string()).status().unwrap();
     assert!(killed.success());
-    let (mut last, mut line) = (String::new(), robot.line().await);
-    while line != "closed" {
-        last = std::mem::replace(&mut line, robot.line().await);
+    let mut last = Vec::new();
+    loop {
+        match robot.line().await {
+            line if line == "closed" => break,
+            line => last.push(line),
+        }
     }
-    assert_eq!(last, "got 06 00000 00000");
+    // The NULL behind the stop tells that it was read.
+    assert!(
+        last.ends_with(&["got 06 00000 00000".to_owned(), "got 00".to_owned()]),
+        "{last:?}"
+    );
     assert!(child.wait().unwrap().success());
 }
 
