@@ -331,13 +331,15 @@ fn fleet(addresses: &[SocketAddr], units: &RangeInclusive<u16>, group: Option<&s
 fn shutdown() -> anyhow::Result<impl Future<Output = ()>> {
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
+    // Before it is listened for.
+    let is_ignored = mom_pages::ignores_hangup();
     let mut hangup = signal(SignalKind::hangup())?;
     let mut quit = signal(SignalKind::quit())?;
     Ok(async move {
         tokio::select! {
             _ = interrupt.recv() => {}
             _ = terminate.recv() => {}
-            _ = hangup.recv() => {}
+            _ = hangup.recv(), if !is_ignored => {}
             _ = quit.recv() => {}
         }
     })

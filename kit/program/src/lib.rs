@@ -44,17 +44,19 @@ fn begin_log(log: &str) {
 }
 
 /// Done at Ctrl-C and SIGTERM, and at what a terminal says that is closed or left by Ctrl-\ (SIGHUP, SIGQUIT): a device halts whatever asks
-/// it to end.
+/// it to end. Started by `nohup`, it goes on at SIGHUP.
 ///
 /// # Errors
 ///
 /// The system does not let it listen for them.
 pub fn shutdown() -> anyhow::Result<impl Future<Output = ()>> {
+    // Before it is listened for.
+    let is_ignored = mom_pages::ignores_hangup();
     let mut hangup = signal(SignalKind::hangup()).context("cannot listen for SIGHUP")?;
     let ended = shutdown_but_hangup()?;
     Ok(async move {
         tokio::select! {
-            _ = hangup.recv() => tracing::info!("ending"),
+            _ = hangup.recv(), if !is_ignored => tracing::info!("ending"),
             () = ended => {}
         }
     })

@@ -1,6 +1,7 @@
 //! The product's main job through its real programs: a broker, a robot, a camera and two users, each a
 //! process of its own talking over TCP (M32, M36–M38).
 
+use std::io::{Read as _, Write as _};
 use std::time::Duration;
 
 use mom_client::{Channel, Client, Event, Events, from_value};
@@ -317,6 +318,27 @@ fn a_device_ends_in_order_at_each_signal_that_asks_it_to() {
         ("MOM_USER", "alice"),
         ("MOM_PASSWORD", "alice"),
     ];
+    // Who starts one by `nohup` wants it to outlive the terminal.
+    let mut command = std::process::Command::new("sh");
+    command
+        .args(["-c", "trap '' HUP; exec \"$0\" \"$@\""])
+        .arg(program("mom-linuxbot"));
+    let kept = Running::of("mom-linuxbot", command.args(["--listen", "127.0.0.1:0"]));
+    let line = kept.line_with("127.0.0.1:");
+    let place = line.split_once("127.0.0.1:").expect("a port").1;
+    let digits = place
+        .find(|next: char| !next.is_ascii_digit())
+        .unwrap_or(place.len());
+    let place = format!("127.0.0.1:{}", &place[..digits]);
+    kept.signal("HUP");
+    let mut station = std::net::TcpStream::connect(&place).expect("it takes connections");
+    let mut answer = [0; 2];
+    for _ in 0..300 {
+        station.write_all(b"00").expect("it is still there");
+        station.read_exact(&mut answer).expect("it answers");
+        assert_eq!(&answer, b"00");
+    }
+    drop(kept);
     for signal in ["INT", "TERM", "HUP", "QUIT"] {
         let linuxbot = Running::start("mom-linuxbot", &["--listen", "127.0.0.1:0"], &[]);
         let cubo = Running::start("mom-cubo", &["--listen", "127.0.0.1:0"], &[]);

@@ -105,13 +105,15 @@ pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
     };
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
+    // Before it is listened for.
+    let is_ignored = mom_pages::ignores_hangup();
     let mut hangup = signal(SignalKind::hangup())?;
     let mut quit = signal(SignalKind::quit())?;
     let mut shutdown = pin!(async move {
         tokio::select! {
             _ = interrupt.recv() => {}
             _ = terminate.recv() => {}
-            _ = hangup.recv() => {}
+            _ = hangup.recv(), if !is_ignored => {}
             _ = quit.recv() => {}
         }
     });

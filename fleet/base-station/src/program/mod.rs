@@ -153,12 +153,16 @@ pub(crate) struct Interrupt {
     interrupt: Signal,
     terminate: Signal,
     hangup: Signal,
+    ignores_hangup: bool,
     quit: Signal,
 }
 
 impl Interrupt {
     fn install() -> Result<Interrupt> {
+        // Before it is listened for.
+        let ignores_hangup = mom_pages::ignores_hangup();
         Ok(Interrupt {
+            ignores_hangup,
             interrupt: signal(SignalKind::interrupt()).context("cannot listen for Ctrl-C")?,
             terminate: signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?,
             hangup: signal(SignalKind::hangup()).context("cannot listen for SIGHUP")?,
@@ -171,7 +175,7 @@ impl Interrupt {
         tokio::select! {
             _ = self.interrupt.recv() => {}
             _ = self.terminate.recv() => {}
-            _ = self.hangup.recv() => {}
+            _ = self.hangup.recv(), if !self.ignores_hangup => {}
             _ = self.quit.recv() => {}
         }
     }
