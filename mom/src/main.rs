@@ -12,6 +12,7 @@ mod interrupt;
 mod output;
 mod top;
 
+use std::pin::Pin;
 use std::process::ExitCode;
 
 use clap::CommandFactory as _;
@@ -24,6 +25,11 @@ use crate::output::Output;
 /// it (docs/decisions.md).
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+/// Boxed, because tokio has three ways to wait for what it is given, and all commands would be compiled once for each.
+fn running<'a>(cli: &'a Cli, output: &'a Output) -> Pin<Box<dyn Future<Output = Result<(), Failure>> + 'a>> {
+    Box::pin(commands::run(cli, output))
+}
 
 fn main() -> ExitCode {
     // The settings of the environment count as arguments for clap, so it would not see that there are none.
@@ -43,7 +49,7 @@ fn main() -> ExitCode {
         Ok(runtime) => runtime,
         Err(error) => return output.failure(&Failure::from(error)),
     };
-    let result = runtime.block_on(commands::run(&cli, &output));
+    let result = runtime.block_on(running(&cli, &output));
     // A thread that still waits for a line of input must not hold up the end.
     runtime.shutdown_background();
     match result {

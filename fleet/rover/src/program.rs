@@ -87,8 +87,11 @@ struct RoverArgs {
 /// # Errors
 ///
 /// What the program ends by; wrong arguments end the process.
-#[tokio::main]
-pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
+pub fn run(args: Vec<OsString>) -> anyhow::Result<()> {
+    mom_program::block_on(Box::pin(work(args)))
+}
+
+async fn work(args: Vec<OsString>) -> anyhow::Result<()> {
     let Some(mut args) = begin::<RoverArgs>(args, "info")? else {
         return Ok(());
     };

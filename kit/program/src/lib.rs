@@ -3,9 +3,11 @@
 use std::ffi::OsString;
 use std::future::Future;
 use std::io::IsTerminal;
+use std::pin::Pin;
 
 use anyhow::Context;
 use clap::Parser;
+use tokio::runtime::Builder;
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
@@ -31,6 +33,18 @@ pub fn begin<A: Parser>(args: Vec<OsString>, log: &str) -> anyhow::Result<Option
     let args = A::parse_from(args);
     begin_log(log);
     Ok(Some(args))
+}
+
+/// Does the work of a program on a runtime with a thread for each core.
+///
+/// It is boxed because tokio has three ways to wait for what it is given, and the whole program would be compiled once for each.
+///
+/// # Errors
+///
+/// What the work ends by, or a runtime that cannot be started.
+pub fn block_on(work: Pin<Box<dyn Future<Output = anyhow::Result<()>>>>) -> anyhow::Result<()> {
+    let runtime = Builder::new_multi_thread().enable_all().build();
+    runtime.context("cannot start the runtime")?.block_on(work)
 }
 
 /// Apart from [`begin`], which is compiled for each program's arguments.

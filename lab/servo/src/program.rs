@@ -43,8 +43,11 @@ struct ServoArgs {
 /// # Errors
 ///
 /// What the program ends by; wrong arguments end the process.
-#[tokio::main]
-pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
+pub fn run(args: Vec<OsString>) -> anyhow::Result<()> {
+    mom_program::block_on(Box::pin(work(args)))
+}
+
+async fn work(args: Vec<OsString>) -> anyhow::Result<()> {
     let Some(args) = begin::<ServoArgs>(args, "info")? else {
         return Ok(());
     };

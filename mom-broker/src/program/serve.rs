@@ -2,6 +2,7 @@
 
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
+use std::pin::Pin;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
@@ -96,7 +97,7 @@ pub(super) fn run(args: &ServeArgs) -> Result<()> {
         .event_interval(EVENTS)
         .build()
         .context("cannot start the runtime")?;
-    let ended = runtime.block_on(args.serve(config, watch, &log_filter));
+    let ended = runtime.block_on(args.serving(config, watch, &log_filter));
     #[cfg(feature = "otlp")]
     if let Some(export) = export {
         export.finish(LAST_SPANS);
@@ -123,6 +124,16 @@ impl ServeArgs {
         }
         config.store.keep_state(|name| std::env::var_os(name))?;
         Ok(config)
+    }
+
+    /// Boxed, because tokio has three ways to wait for what it is given, and all of it would be compiled once for each.
+    fn serving<'a>(
+        &'a self,
+        config: Config,
+        watch: Option<FileWatch>,
+        log_filter: &'a LogFilter,
+    ) -> Pin<Box<dyn Future<Output = Result<()>> + 'a>> {
+        Box::pin(self.serve(config, watch, log_filter))
     }
 
     async fn serve(
