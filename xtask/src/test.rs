@@ -10,9 +10,9 @@ use std::process::{Child, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, anyhow};
 
-use crate::command::{cargo, end_with_children, line, shows};
+use crate::command::{behind, cargo, end_with_children, line, shows};
 use crate::counts::{Counts, STALL};
 use crate::{clients, console, javascript};
 
@@ -61,14 +61,95 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
         return Ok(Counts::default().concluded(false));
     }
     if !whole {
-        return run_cargo(root, args, None);
+        return run_cargo(root, args, None, false);
     }
-    // Not side by side: browsers and devices took each other's processor on two cores, and an arm that stands still for a quarter of a
-    // second halts.
-    let (said, others) = run_others(root, &programs)?;
-    let counts = run_cargo(root, args, Some(&programs))?;
+    let (computing, others) = std::thread::scope(|scope| {
+        let others = scope.spawn(|| run_others(root, &programs));
+        let computing = run_cargo(root, &Part::Computing.targets(), Some(&programs), true);
+        (computing, others.join())
+    });
+    let (said, others) = others
+        .map_err(|_| anyhow!("the tests of the other languages ended by a fault of their runner"))??;
     print!("{said}");
-    Ok(counts.and(others))
+    let system = run_cargo(root, &Part::System.targets(), Some(&programs), false)?;
+    let examples = run_cargo(root, &["--doc".to_owned()], None, false)?;
+    Ok(computing?.and(system).and(examples).and(others))
+}
+
+/// Which of the Rust tests run side by side with those of the other languages.
+///
+/// Browsers and devices take each other's processor on two cores, and an arm that stands still for a quarter of a second halts. So tests that
+/// only compute run beside the browsers, with what these leave of the processor, and those that start programs run alone.
+enum Part {
+    Computing,
+    System,
+}
+
+impl Part {
+    /// Its integration tests, each by its name, which may be that of several packages.
+    fn names(&self) -> &'static [&'static str] {
+        match self {
+            Part::Computing => &[
+                "all_faults",
+                "allocations",
+                "bare",
+                "binary_golden",
+                "c",
+                "cameras",
+                "dialogues",
+                "drawn",
+                "elements",
+                "faults",
+                "file",
+                "footprint",
+                "generated",
+                "golden",
+                "json_golden",
+                "json_refused",
+                "layouts",
+                "marker",
+                "mime_refused",
+                "models",
+                "network",
+                "paper",
+                "properties",
+                "random",
+                "render",
+                "rest",
+                "sessions",
+                "stops",
+                "typed",
+                "verb",
+                "xmi",
+                "xml_golden",
+                "xml_lexemes",
+                "xml_refused",
+            ],
+            Part::System => &[
+                "all",
+                "api",
+                "base_station",
+                "choice",
+                "client",
+                "external",
+                "linuxbot",
+                "program",
+                "store",
+                "wire",
+                "witness",
+            ],
+        }
+    }
+
+    /// What cargo is told to run.
+    fn targets(&self) -> Vec<String> {
+        let units: &[&str] = match self {
+            Part::Computing => &["--lib", "--bins", "--examples"],
+            Part::System => &[],
+        };
+        let names = self.names().iter().flat_map(|name| ["--test", name]);
+        units.iter().copied().chain(names).map(str::to_owned).collect()
+    }
 }
 
 /// Runs the tests of the clients in other languages and of the console, one after the other; gives what they say, and their counts.
@@ -85,10 +166,15 @@ fn run_others(root: &Path, programs: &Path) -> Result<(String, Counts)> {
     Ok(all)
 }
 
-/// Runs what cargo runs, with its output shown; the programs are built already if it is said where they are.
-fn run_cargo(root: &Path, args: &[String], programs: Option<&Path>) -> Result<Counts> {
+/// Runs what cargo runs, with its output shown; the programs are built already if it is said where they are. Behind others it has what
+/// they leave of the processor.
+fn run_cargo(root: &Path, args: &[String], programs: Option<&Path>, is_behind: bool) -> Result<Counts> {
     let mut command = cargo(root);
-    command.args(arguments(args)).stdout(Stdio::piped());
+    command.args(arguments(args));
+    if is_behind {
+        command = behind(&command);
+    }
+    command.stdout(Stdio::piped());
     if std::env::var_os(THREADS).is_none() {
         // Those of the whole system wait for their programs more than they compute.
         let cores = std::thread::available_parallelism().map_or(1, NonZero::get);
@@ -255,6 +341,28 @@ mod tests {
             slow.add_line(line);
         }
         assert_eq!(slow.to_string(), "b did not");
+    }
+
+    #[test]
+    fn each_integration_test_is_in_one_part() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+        let metadata = cargo(root)
+            .args(["metadata", "--no-deps", "--offline", "--format-version", "1"])
+            .output()
+            .unwrap();
+        let metadata: serde_json::Value = serde_json::from_slice(&metadata.stdout).unwrap();
+        let packages = metadata["packages"].as_array().unwrap().iter();
+        let targets = packages.flat_map(|package| package["targets"].as_array().unwrap());
+        let tests: BTreeSet<&str> = targets
+            .filter(|target| target["kind"][0] == "test")
+            .map(|target| target["name"].as_str().unwrap())
+            .collect();
+        let mut named: Vec<&str> = [Part::Computing, Part::System]
+            .iter()
+            .flat_map(|part| part.names().iter().copied())
+            .collect();
+        named.sort_unstable();
+        assert_eq!(named, Vec::from_iter(tests));
     }
 
     #[test]
