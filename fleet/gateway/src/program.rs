@@ -61,38 +61,40 @@ async fn work(args: Vec<OsString>) -> anyhow::Result<()> {
     let Some(args) = begin::<GatewayArgs>(args, "info")? else {
         return Ok(());
     };
-    let mut shutdown = Box::pin(shutdown_but_hangup()?);
+    let shutdown = shutdown_but_hangup()?;
+    // Before the hub is reached, too, which may take long.
+    let hangup = signal(SignalKind::hangup()).context("cannot listen for SIGHUP")?;
     // With a mistake in a file nothing is started.
     let fleet =
         Fleet::parse(&read(&args.fleet)?).map_err(|error| anyhow!("{}:{error}", args.fleet.display()))?;
     let options = options(&args)?;
+    let (taken, fleets) = mpsc::channel(1);
+    let (path, follower) = (args.fleet.clone(), taken.clone());
+    let mut ends = Box::pin(async move {
+        tokio::select! {
+            () = shutdown => {}
+            () = follow(&path, hangup, follower) => {}
+        }
+    });
     let mut clients = Vec::new();
     for _ in 0..connections(fleet.robots().len()) {
         let login = args.hub.login("mom-gateway", env!("CARGO_PKG_VERSION"))?;
-        let Some(client) = args.hub.connect(login, &mut shutdown).await? else {
+        let Some(client) = args.hub.connect(login, &mut ends).await? else {
             return Ok(());
         };
         clients.push(client);
     }
-    let hangup = signal(SignalKind::hangup()).context("cannot listen for SIGHUP")?;
     let station = Station::new(&fleet, options.table, settings());
     let lines = lines(&station);
     station.connect_all();
-    let (taken, fleets) = mpsc::channel(1);
     let changes = Changes {
         station: station.clone(),
         fleets,
         present: watch::channel(fleet).0,
         file: Some(FleetFile {
-            path: args.fleet.clone(),
-            taken: taken.clone(),
+            path: args.fleet,
+            taken,
         }),
-    };
-    let ends = async move {
-        tokio::select! {
-            () = shutdown => {}
-            () = follow(&args.fleet, hangup, taken) => {}
-        }
     };
     let ended = crate::run(clients, lines, options, Some(changes), ends).await;
     let left = station.halt().await;

@@ -308,6 +308,14 @@ async fn only_signals_that_say_so_stop_a_broker() {
     assert_eq!(status.expect("waited for").code(), Some(0));
 }
 
+/// Whether what this process starts ignores SIGHUP.
+fn ignores_hangup() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").expect("the system tells");
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let ignored = u64::from_str_radix(ignored.expect("it is told").trim(), 16);
+    ignored.expect("a number") & 1 == 1
+}
+
 /// A device halts when its program ends, so nothing ends it at once that can be asked for an end in order.
 #[test]
 fn a_device_ends_in_order_at_each_signal_that_asks_it_to() {
@@ -339,7 +347,12 @@ fn a_device_ends_in_order_at_each_signal_that_asks_it_to() {
         assert_eq!(&answer, b"00");
     }
     drop(kept);
-    for signal in ["INT", "TERM", "HUP", "QUIT"] {
+    // Tests that were started by `nohup` have what they start ignore SIGHUP.
+    let signals = match ignores_hangup() {
+        true => &["INT", "TERM", "QUIT"][..],
+        false => &["INT", "TERM", "QUIT", "HUP"],
+    };
+    for signal in signals {
         let linuxbot = Running::start("mom-linuxbot", &["--listen", "127.0.0.1:0"], &[]);
         let cubo = Running::start("mom-cubo", &["--listen", "127.0.0.1:0"], &[]);
         let arm = Running::start("mom-arm", &["--hub", &hub], &[("MOM_PASSWORD", "arm")]);
@@ -354,6 +367,30 @@ fn a_device_ends_in_order_at_each_signal_that_asks_it_to() {
             assert_eq!(device.wait().code(), Some(0), "{signal}");
         }
     }
+    for signal in &signals[2..] {
+        let (lab, _) = Running::lab();
+        lab.signal(signal);
+        assert_eq!(lab.wait().code(), Some(0), "{signal}");
+    }
+}
+
+/// SIGHUP has a gateway read its fleet's file again, also while it waits for its hub.
+#[test]
+fn a_gateway_that_waits_for_its_hub_goes_on_at_hangup() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let fleet = folder.path().join("fleet.toml");
+    std::fs::write(&fleet, "[[robot]]\nunit = 1\naddress = \"127.0.0.1:1\"\n").expect("it is written");
+    // It takes connections, and says nothing.
+    let hub = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let address = format!("bin://{}", hub.local_addr().expect("an address"));
+    let fleet = fleet.to_str().expect("a path");
+    let args = ["--fleet", fleet, "--hub", &address];
+    let gateway = Running::start("mom-gateway", &args, &[("MOM_PASSWORD", "gateway")]);
+    let _connection = hub.accept().expect("it comes");
+    gateway.signal("HUP");
+    gateway.line_with("reading the fleet's file again");
+    gateway.signal("TERM");
+    assert_eq!(gateway.wait().code(), Some(0));
 }
 
 /// README's first command: a hub, an arm and a camera in one process, and what to try next.

@@ -120,10 +120,10 @@ struct Up {
     next_null: i64,
     /// When the NULLs were sent that have no reply yet; replies come in this order.
     unanswered: VecDeque<Since>,
-    /// How many NULLs have been sent and answered, and how many had been sent before the last stop.
+    /// How many NULLs have been sent and answered on this connection, and how many had been sent before the last stop, if one was.
     nulls_sent: u64,
     nulls_answered: u64,
-    nulls_before_stop: u64,
+    nulls_before_stop: Option<u64>,
     /// How many replies are owed, and how many have come that were not, beyond those that were.
     owed: u32,
     unasked: u32,
@@ -157,6 +157,8 @@ pub struct Circuit {
     status: Option<i32>,
     last_end: Option<End>,
     in_motion: bool,
+    /// Whether it was told to move or to stop, and has not confirmed since that it has read a stop: on any connection.
+    may_move: bool,
     /// When something was taken last.
     taken: i64,
 }
@@ -179,6 +181,7 @@ impl Circuit {
             status: None,
             last_end: None,
             in_motion: false,
+            may_move: false,
             taken: i64::MIN,
         }
     }
@@ -237,16 +240,17 @@ impl Circuit {
         self.in_motion
     }
 
-    /// Whether the robot has read the last stop, and nothing waits: it reads in order, and has answered a NULL that was written after.
+    /// Whether the robot may move by what it was told: it is in motion ([`Circuit::is_in_motion`]), or nothing shows that it has read the
+    /// stop that was written last. It reads in order, so an answer to a NULL that was written behind the stop does.
+    #[must_use]
+    pub const fn may_move(&self) -> bool {
+        self.may_move
+    }
+
+    /// Whether the robot has read the last stop, and nothing waits.
     #[must_use]
     pub fn is_stop_heard(&self) -> bool {
-        match &self.phase {
-            Phase::Up(up) => {
-                let is_written = !self.in_motion && up.waiting.len() == 0;
-                is_written && up.nulls_answered > up.nulls_before_stop
-            }
-            _ => false,
-        }
+        matches!(&self.phase, Phase::Up(up) if up.waiting.len() == 0) && !self.may_move
     }
 
     /// How many bytes may be read of the robot now; at 0, wait until [`Circuit::next_wake`].
@@ -391,9 +395,10 @@ impl Circuit {
             Code::STATUS | Code::LEDS | Code::POSE => {}
             Code::MOTOR => {
                 self.in_motion = frame.values().iter().any(|speed| *speed != 0);
-                up.nulls_before_stop = up.nulls_sent;
+                self.may_move = true;
+                up.nulls_before_stop = Some(up.nulls_sent);
             }
-            _ => self.in_motion = true,
+            _ => (self.in_motion, self.may_move) = (true, true),
         }
         self.outputs.push_back(Output::Note(Note::Sent(frame)));
         Some(Output::Write(frame.encode()))
@@ -487,7 +492,7 @@ impl Circuit {
             unanswered: VecDeque::new(),
             nulls_sent: 0,
             nulls_answered: 0,
-            nulls_before_stop: 0,
+            nulls_before_stop: None,
             owed: 0,
             unasked: 0,
             flood: None,
@@ -554,6 +559,10 @@ impl Circuit {
                 Code::NULL => {
                     let sent = up.unanswered.pop_front();
                     up.nulls_answered += u64::from(sent.is_some());
+                    let has_read = up
+                        .nulls_before_stop
+                        .is_some_and(|before| up.nulls_answered > before);
+                    self.may_move &= self.in_motion || !has_read;
                     round_trip = sent.map(|sent| now.saturating_sub(sent.at).max(0));
                 }
                 Code::STATUS => self.status = frame.values().first().copied(),

@@ -419,6 +419,42 @@ fn it_knows_whether_the_robot_was_set_in_motion() {
 }
 
 #[test]
+fn a_robot_may_move_until_it_has_read_a_stop() {
+    let mut circuit = writable();
+    assert!(!circuit.may_move());
+    circuit.send(frame("motor", &[5, 5])).unwrap();
+    all(&mut circuit, 1);
+    circuit.send(frame("null", &[])).unwrap();
+    all(&mut circuit, 1);
+    circuit.take(1, Input::Bytes(b"00"));
+    assert!(circuit.may_move(), "it has read that it is to move");
+    circuit.send(frame("motor", &[0, 0])).unwrap();
+    all(&mut circuit, 2);
+    assert!(
+        !circuit.is_in_motion() && circuit.may_move(),
+        "it is only written"
+    );
+    circuit.take(3, Input::Ended(End::Closed));
+    assert!(
+        circuit.may_move(),
+        "it was on its way when the connection was lost"
+    );
+    // What it answers on the next connection says nothing of that one.
+    let now = circuit.next_wake().expect("it tries again");
+    take(&mut circuit, now, Input::Time);
+    take(&mut circuit, now, Input::Connected);
+    assert_eq!(written(&mut circuit, now), "00");
+    circuit.take(now, Input::Bytes(b"00"));
+    all(&mut circuit, now);
+    assert!(circuit.may_move());
+    circuit.halt().unwrap();
+    assert_eq!(written(&mut circuit, now), "06 00000 00000|00");
+    assert!(circuit.may_move() && !circuit.is_stop_heard());
+    circuit.take(now, Input::Bytes(b"00"));
+    assert!(!circuit.may_move() && circuit.is_stop_heard());
+}
+
+#[test]
 fn silence_within_a_frame_drops_it_and_faults_outlive_the_connection() {
     let mut circuit = writable();
     circuit.take(MS, Input::Bytes(b"04 000"));

@@ -104,10 +104,10 @@ impl Seat {
         Ok(taken)
     }
 
-    /// Stops the motors, if the robot may be in motion or soon would be; whether that is so.
+    /// Stops the motors, if the robot may move or soon would; whether that is so. A stop that it may not have read is said again.
     pub(super) fn halt(&self) -> bool {
         let mut circuit = self.circuit.lock();
-        let moving = circuit.is_in_motion() || circuit.waiting() > 0;
+        let moving = circuit.may_move() || circuit.waiting() > 0;
         // Without a connection it stays in motion, which is told.
         if moving && circuit.halt().is_ok() {
             self.wake.notify_one();

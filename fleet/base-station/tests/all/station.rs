@@ -399,6 +399,21 @@ async fn a_robot_that_answers_nothing_more_is_named_by_halt() {
 }
 
 #[tokio::test]
+async fn a_stop_that_was_not_read_is_said_again_and_its_robot_named() {
+    let mut one = Robot::start().await;
+    let station = station(&[one.port], Options::default());
+    station.connect_all();
+    writable(&station, 1).await;
+    station.send(1, motor(7, 7)).unwrap();
+    assert_eq!(one.command().await, "06 00007 00007");
+    one.tell("mute").await;
+    station.send(1, motor(0, 0)).unwrap();
+    assert_eq!(one.command().await, "06 00000 00000");
+    assert_eq!(station.halt().await, [1]);
+    assert_eq!(one.command().await, "06 00000 00000");
+}
+
+#[tokio::test]
 async fn two_hundred_robots_are_connected_by_one_station() {
     let listener = TcpListener::bind("0.0.0.0:0").await.unwrap();
     let port = listener.local_addr().unwrap().port();
