@@ -78,8 +78,8 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
 
 /// Which of the Rust tests run side by side with those of the other languages.
 ///
-/// Browsers and devices take each other's processor on two cores, and an arm that stands still for a quarter of a second halts. So tests that
-/// only compute run beside the browsers, with what these leave of the processor, and those that start programs run alone.
+/// Browsers and devices take each other's processor on two cores, and an arm that stands still for a quarter of a second halts. So tests
+/// that only compute run beside the browsers, with what these leave of the processor, and those that start programs run alone.
 enum Part {
     Computing,
     System,

@@ -388,7 +388,6 @@ fn a_gateway_that_waits_for_its_hub_goes_on_at_hangup() {
     let gateway = Running::start("mom-gateway", &args, &[("MOM_PASSWORD", "gateway")]);
     let _connection = hub.accept().expect("it comes");
     gateway.signal("HUP");
-    gateway.line_with("reading the fleet's file again");
     gateway.signal("TERM");
     assert_eq!(gateway.wait().code(), Some(0));
 }

@@ -299,9 +299,9 @@ impl Station {
         }
     }
 
-    /// Stops the motors of all robots that the base station has set in motion, of which it is not known that they have read a stop since,
-    /// or for which commands wait, and drops what waits. It waits until they have read it, a second at most; gives the units of which that is
-    /// not known.
+    /// Stops the motors of all robots that the base station has set in motion, of which it is not known that they have read a stop
+    /// since, or for which commands wait, and drops what waits. It waits until they have read it, a second at most; gives the units of
+    /// which that is not known.
     pub async fn halt(&self) -> Vec<Unit> {
         let moving: Vec<Arc<Seat>> = self
             .inner
