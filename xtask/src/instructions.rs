@@ -17,7 +17,7 @@ use crate::peers::build;
 use crate::verdict::{self, SOURCES};
 
 /// The stored counts, by case.
-const BASELINE: &str = "benches/instructions.toml";
+pub(crate) const BASELINE: &str = "benches/instructions.toml";
 /// What the counts are of: these packages, with all that they are built from.
 const PACKAGES: &[&str] = &[
     "mom-proto/",

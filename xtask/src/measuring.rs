@@ -9,10 +9,10 @@ use std::process::Command;
 use anyhow::{Context as _, Result, ensure};
 use toml::Table;
 
-use crate::clients;
 use crate::command::{cargo, line, shows};
 use crate::test::{PROGRAMS, SEED, WHOLE};
 use crate::verdict::{self, SOURCES};
+use crate::{clients, instructions};
 
 /// The workspace.
 pub(crate) const FOLDER: &str = "benches";
@@ -105,8 +105,10 @@ fn counts_for(path: &str) -> bool {
     let (top, _) = path.split_once('/').unwrap_or(("", path));
     let is_test = path.contains("/tests/") || path.ends_with("/tests.rs");
     let is_own = top == FOLDER;
-    let is_text = path.ends_with(".md") || path == FILE || path.contains("/fuzz/");
-    !APART.contains(&top) && (is_own || !is_test) && !is_text
+    let is_text = path.ends_with(".md") || path.contains("/fuzz/");
+    // What was found is no part of what it was found of.
+    let is_verdict = [FILE, instructions::BASELINE].contains(&path);
+    !APART.contains(&top) && (is_own || !is_test) && !is_text && !is_verdict
 }
 
 #[cfg(test)]
@@ -172,6 +174,7 @@ mod tests {
             "mom-hub/src/tree/tests.rs",
             "docs/design.md",
             "benches/checked.toml",
+            "benches/instructions.toml",
             "protocols/brs/fuzz/Cargo.toml",
             "console/src/panels.ts",
         ] {
