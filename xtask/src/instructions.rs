@@ -14,10 +14,8 @@ use toml::{Table, Value};
 
 use crate::command::line;
 use crate::peers::build;
-use crate::verdict::{self, SOURCES};
+use crate::verdict::{self, BASELINE, SOURCES};
 
-/// The stored counts, by case.
-pub(crate) const BASELINE: &str = "benches/instructions.toml";
 /// What the counts are of: these packages, with all that they are built from.
 const PACKAGES: &[&str] = &[
     "mom-proto/",

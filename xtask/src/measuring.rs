@@ -9,10 +9,10 @@ use std::process::Command;
 use anyhow::{Context as _, Result, ensure};
 use toml::Table;
 
+use crate::clients;
 use crate::command::{cargo, line, shows};
 use crate::test::{PROGRAMS, SEED, WHOLE};
-use crate::verdict::{self, SOURCES};
-use crate::{clients, instructions};
+use crate::verdict::{self, BASELINE, SOURCES};
 
 /// The workspace.
 pub(crate) const FOLDER: &str = "benches";
@@ -107,7 +107,7 @@ fn counts_for(path: &str) -> bool {
     let is_own = top == FOLDER;
     let is_text = path.ends_with(".md") || path.contains("/fuzz/");
     // What was found is no part of what it was found of.
-    let is_verdict = [FILE, instructions::BASELINE].contains(&path);
+    let is_verdict = [FILE, BASELINE].contains(&path);
     !APART.contains(&top) && (is_own || !is_test) && !is_text && !is_verdict
 }
 

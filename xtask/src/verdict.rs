@@ -12,6 +12,9 @@ use crate::tidy::Tree;
 /// The key of the hash in a file with a verdict.
 pub(crate) const SOURCES: &str = "sources";
 
+/// The stored counts of instructions, by case.
+pub(crate) const BASELINE: &str = "benches/instructions.toml";
+
 /// A hash of the files of the checkout that count, and of the compiler.
 pub(crate) fn sources(root: &Path, counts: impl Fn(&str) -> bool) -> Result<String> {
     let compiler = output(Command::new("rustc").arg("--version").arg("--verbose"))?;
