@@ -7,8 +7,8 @@ use mom_drive::VerbFailure;
 use crate::connect::{Stay, connect};
 use crate::failure::Failure;
 use crate::global::GlobalArgs;
-use crate::interrupt::Interrupt;
 use crate::output::Output;
+use mom_pages::Interrupt;
 
 /// The commands of packages, each with the path of its module, which has
 ///

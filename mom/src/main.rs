@@ -8,7 +8,6 @@ mod doctor;
 mod failure;
 mod global;
 mod input;
-mod interrupt;
 mod output;
 mod top;
 

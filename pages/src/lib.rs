@@ -1,7 +1,7 @@
 //! What the command lines of all programs have alike: man pages and shell completions, which each program writes itself, so that they are
-//! those of the program that is installed; times; and whether a program is to outlive its terminal.
+//! those of the program that is installed; times; and what asks them to end.
 
-mod hangup;
+mod interrupt;
 mod times;
 
 use std::ffi::OsString;
@@ -11,7 +11,7 @@ use std::{fs, io};
 use clap::CommandFactory;
 use clap_complete::Shell;
 
-pub use hangup::ignores_hangup;
+pub use interrupt::Interrupt;
 pub use times::{duration, duration_within};
 
 /// The first of the two arguments that ask for them. It is not an option of the programs, because it is for packagers only.

@@ -3,7 +3,6 @@
 
 use std::ffi::OsString;
 use std::fmt::Write as _;
-use std::future::Future;
 use std::io::IsTerminal;
 use std::net::{IpAddr, SocketAddr};
 use std::ops::RangeInclusive;
@@ -15,11 +14,10 @@ use crate::{Access, Login, Options, Page, Robot, Rules, serve_observed, serve_pa
 use anyhow::Context;
 use clap::Parser;
 use mom_brs::{Table, file};
-use mom_pages::duration_within;
+use mom_pages::{Interrupt, duration_within};
 use mom_trace::Trace;
 use mom_wheels::{Chassis, Driver, Point, Pose, Simulated, Traced, Watchdog, WheelTime};
 use tokio::net::TcpListener;
-use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::watch;
 use tokio::task::{JoinError, JoinSet};
 use tracing_subscriber::EnvFilter;
@@ -117,7 +115,8 @@ pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .init();
-    let mut shutdown = pin!(shutdown()?);
+    let mut interrupt = Interrupt::install()?;
+    let mut shutdown = pin!(interrupt.wait());
     let options = options(&args)?;
     let rules = rules(&args)?;
     let login = login(&args)?;
@@ -325,22 +324,4 @@ fn fleet(addresses: &[SocketAddr], units: &RangeInclusive<u16>, group: Option<&s
         }
     }
     text
-}
-
-/// Done at Ctrl-C and SIGTERM, and at what a terminal says that is closed or left by Ctrl-\.
-fn shutdown() -> anyhow::Result<impl Future<Output = ()>> {
-    let mut interrupt = signal(SignalKind::interrupt())?;
-    let mut terminate = signal(SignalKind::terminate())?;
-    // Before it is listened for.
-    let is_ignored = mom_pages::ignores_hangup();
-    let mut hangup = signal(SignalKind::hangup())?;
-    let mut quit = signal(SignalKind::quit())?;
-    Ok(async move {
-        tokio::select! {
-            _ = interrupt.recv() => {}
-            _ = terminate.recv() => {}
-            _ = hangup.recv(), if !is_ignored => {}
-            _ = quit.recv() => {}
-        }
-    })
 }

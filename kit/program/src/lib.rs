@@ -7,8 +7,8 @@ use std::pin::Pin;
 
 use anyhow::Context;
 use clap::Parser;
+use mom_pages::Interrupt;
 use tokio::runtime::Builder;
-use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
 mod hub;
@@ -17,6 +17,8 @@ pub mod others;
 pub mod work;
 
 pub use hub::HubArgs;
+
+const SIGNALS: &str = "cannot listen for signals";
 
 /// Reads the arguments of a program, of which the first is its name, and begins its log on the standard error: as much as
 /// `RUST_LOG` says, else as `log` says.
@@ -64,16 +66,7 @@ fn begin_log(log: &str) {
 ///
 /// The system does not let it listen for them.
 pub fn shutdown() -> anyhow::Result<impl Future<Output = ()>> {
-    // Before it is listened for.
-    let is_ignored = mom_pages::ignores_hangup();
-    let mut hangup = signal(SignalKind::hangup()).context("cannot listen for SIGHUP")?;
-    let ended = shutdown_but_hangup()?;
-    Ok(async move {
-        tokio::select! {
-            _ = hangup.recv(), if !is_ignored => tracing::info!("ending"),
-            () = ended => {}
-        }
-    })
+    Interrupt::install().context(SIGNALS).map(asked)
 }
 
 /// The same for a program to which SIGHUP says something else.
@@ -82,15 +75,10 @@ pub fn shutdown() -> anyhow::Result<impl Future<Output = ()>> {
 ///
 /// As [`shutdown`].
 pub fn shutdown_but_hangup() -> anyhow::Result<impl Future<Output = ()>> {
-    let mut interrupt = signal(SignalKind::interrupt()).context("cannot listen for Ctrl-C")?;
-    let mut terminate = signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?;
-    let mut quit = signal(SignalKind::quit()).context("cannot listen for SIGQUIT")?;
-    Ok(async move {
-        tokio::select! {
-            _ = interrupt.recv() => {}
-            _ = terminate.recv() => {}
-            _ = quit.recv() => {}
-        }
-        tracing::info!("ending");
-    })
+    Interrupt::install_but_hangup().context(SIGNALS).map(asked)
+}
+
+async fn asked(mut interrupt: Interrupt) {
+    interrupt.wait().await;
+    tracing::info!("ending");
 }

@@ -5,8 +5,8 @@ use super::offers::{AwaitedOffer, offer};
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::interrupt::Interrupt;
 use crate::output::Output;
+use mom_pages::Interrupt;
 
 pub(crate) async fn run(args: &cli::AcceptArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;

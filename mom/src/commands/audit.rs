@@ -8,9 +8,9 @@ use tokio::time::{MissedTickBehavior, interval};
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::interrupt::Interrupt;
 use crate::output::style::{Tone, ink};
 use crate::output::{Output, to_json, words};
+use mom_pages::Interrupt;
 
 /// The most facts of one reply.
 const PAGE: u64 = 200;

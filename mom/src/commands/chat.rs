@@ -6,11 +6,11 @@ use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::input;
-use crate::interrupt::Interrupt;
 use crate::output::event::event_words;
 use crate::output::record::OutputRecord;
 use crate::output::style::{Tone, ink};
 use crate::output::{Output, refusal_text, words};
+use mom_pages::Interrupt;
 
 /// The name of the messages (M39).
 const CHAT: &str = "chat";

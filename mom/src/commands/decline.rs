@@ -6,8 +6,8 @@ use super::offers::{AwaitedOffer, offer};
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::interrupt::Interrupt;
 use crate::output::Output;
+use mom_pages::Interrupt;
 
 pub(crate) async fn run(args: &cli::DeclineArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;

@@ -8,9 +8,9 @@ use super::hold::{tell_lost, tell_released};
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::interrupt::Interrupt;
 use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
+use mom_pages::Interrupt;
 
 pub(crate) async fn run(args: &cli::GiveArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;

@@ -11,9 +11,9 @@ use super::hold::{TokenToHold, hold};
 use crate::cli::{self, GlobalArgs, WaitArg};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::interrupt::Interrupt;
 use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
+use mom_pages::Interrupt;
 
 const TICK: Duration = Duration::from_millis(100);
 

@@ -12,10 +12,10 @@ use tokio::time::{Instant, sleep, sleep_until};
 use crate::cli;
 use crate::failure::{Doing as _, Failure};
 use crate::input::Answers;
-use crate::interrupt::Interrupt;
 use crate::output::event::{lost_words, member_words};
 use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
+use mom_pages::Interrupt;
 
 /// The hub is asked for the lease this often during a lease, within bounds.
 const LOOKS_PER_LEASE: u32 = 12;

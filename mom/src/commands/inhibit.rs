@@ -7,9 +7,9 @@ use super::hold::{tell_lost, wait};
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::interrupt::Interrupt;
 use crate::output::Output;
 use crate::output::style::{Tone, ink};
+use mom_pages::Interrupt;
 
 pub(crate) async fn run(args: &cli::InhibitArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;

@@ -9,10 +9,10 @@ use tokio::time::timeout;
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::interrupt::Interrupt;
 use crate::output::event::event_words;
 use crate::output::style::{Tone, ink};
 use crate::output::{Output, to_json, words};
+use mom_pages::Interrupt;
 
 /// What is kept comes at once, and nobody says which is the last: a pause as long as this is its end.
 const PAUSE: Duration = Duration::from_secs(1);

@@ -13,9 +13,9 @@ use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::input::Answers;
-use crate::interrupt::Interrupt;
 use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
+use mom_pages::Interrupt;
 
 pub(crate) async fn run(args: &cli::ManageArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Reconnecting).await?;

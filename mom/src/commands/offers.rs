@@ -8,10 +8,10 @@ use tokio::time::Instant;
 
 use super::hold::wait;
 use crate::failure::Failure;
-use crate::interrupt::Interrupt;
 use crate::output::event::event_words;
 use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
+use mom_pages::Interrupt;
 
 /// The awaited offer, and how long to wait.
 #[derive(Clone, Copy, Debug)]

@@ -4,9 +4,9 @@ use super::hold::{TokenToHold, hold};
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::interrupt::Interrupt;
 use crate::output::Output;
 use crate::output::style::{Tone, ink};
+use mom_pages::Interrupt;
 
 pub(crate) async fn run(args: &cli::RequestArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let client = connect(global, Stay::Once).await?;

@@ -10,9 +10,9 @@ use tokio::time::{MissedTickBehavior, interval};
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::interrupt::Interrupt;
 use crate::output::style::{Tone, ink, padded};
 use crate::output::{Output, words};
+use mom_pages::Interrupt;
 
 /// The columns after the name.
 const HEADINGS: [&str; 7] = [

@@ -12,8 +12,8 @@ use crate::cli::{self, GlobalArgs};
 use crate::commands::run::{drive, error_words};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::interrupt::Interrupt;
 use crate::output::Output;
+use mom_pages::Interrupt;
 
 /// How long the clocks may take to be compared; without that only the hub's own steps have a time.
 const COMPARED: Duration = Duration::from_secs(3);

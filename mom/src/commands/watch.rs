@@ -6,10 +6,10 @@ use tokio::sync::mpsc;
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::interrupt::Interrupt;
 use crate::output::Output;
 use crate::output::record::OutputRecord;
 use crate::output::style::{Tone, ink};
+use mom_pages::Interrupt;
 
 /// Events on their way from the contexts to the one place that writes them.
 const WAITING: usize = 64;

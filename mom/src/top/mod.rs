@@ -17,8 +17,8 @@ use self::view::{HubLink, View};
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::interrupt::Interrupt;
 use crate::output::Output;
+use mom_pages::Interrupt;
 
 /// Owners of tokens and stops are asked for so often.
 const HOLDS_EVERY: Duration = Duration::from_secs(3);

@@ -9,12 +9,12 @@ use std::pin::pin;
 use crate::{Cubo, CuboHandle, serve, serve_page};
 use anyhow::{Context, bail};
 use clap::Parser;
+use mom_pages::Interrupt;
 use mom_rsp::Key;
 use mom_rsp::robot::Settings;
 use mom_trace::Trace;
 use mom_wheels::Pose;
 use tokio::net::{TcpListener, UdpSocket};
-use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
 const EXAMPLES: &str = "\
@@ -103,20 +103,8 @@ pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
         watchdog: args.watchdog,
         ..Settings::default()
     };
-    let mut interrupt = signal(SignalKind::interrupt())?;
-    let mut terminate = signal(SignalKind::terminate())?;
-    // Before it is listened for.
-    let is_ignored = mom_pages::ignores_hangup();
-    let mut hangup = signal(SignalKind::hangup())?;
-    let mut quit = signal(SignalKind::quit())?;
-    let mut shutdown = pin!(async move {
-        tokio::select! {
-            _ = interrupt.recv() => {}
-            _ = terminate.recv() => {}
-            _ = hangup.recv(), if !is_ignored => {}
-            _ = quit.recv() => {}
-        }
-    });
+    let mut interrupt = Interrupt::install()?;
+    let mut shutdown = pin!(interrupt.wait());
     let socket = UdpSocket::bind(args.listen)
         .await
         .with_context(|| format!("cannot listen on {}", args.listen))?;

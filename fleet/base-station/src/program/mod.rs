@@ -21,7 +21,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use clap::Parser as _;
 use mom_brs::Table;
 use mom_brs::file::{self, EXTENDED};
-use tokio::signal::unix::{Signal, SignalKind, signal};
+use mom_pages::Interrupt;
 use tokio::task::JoinSet;
 
 use self::args::{Args, Work};
@@ -68,7 +68,7 @@ async fn carry_out(args: Vec<OsString>) -> Result<()> {
         };
         Ok(Station::new(fleet, table, settings))
     };
-    let mut interrupt = Interrupt::install()?;
+    let mut interrupt = Interrupt::install().context("cannot listen for signals")?;
     match args.work {
         None => {
             let (station, units) = (begin(&fleet)?, fleet.units());
@@ -146,37 +146,4 @@ async fn finish(station: &Station) -> Result<()> {
         );
     }
     Ok(())
-}
-
-/// Ctrl-C, SIGTERM, and what a terminal says that is closed or left by Ctrl-\.
-pub(crate) struct Interrupt {
-    interrupt: Signal,
-    terminate: Signal,
-    hangup: Signal,
-    ignores_hangup: bool,
-    quit: Signal,
-}
-
-impl Interrupt {
-    fn install() -> Result<Interrupt> {
-        // Before it is listened for.
-        let ignores_hangup = mom_pages::ignores_hangup();
-        Ok(Interrupt {
-            ignores_hangup,
-            interrupt: signal(SignalKind::interrupt()).context("cannot listen for Ctrl-C")?,
-            terminate: signal(SignalKind::terminate()).context("cannot listen for SIGTERM")?,
-            hangup: signal(SignalKind::hangup()).context("cannot listen for SIGHUP")?,
-            quit: signal(SignalKind::quit()).context("cannot listen for SIGQUIT")?,
-        })
-    }
-
-    /// Waits for one of them.
-    async fn wait(&mut self) {
-        tokio::select! {
-            _ = self.interrupt.recv() => {}
-            _ = self.terminate.recv() => {}
-            _ = self.hangup.recv(), if !self.ignores_hangup => {}
-            _ = self.quit.recv() => {}
-        }
-    }
 }

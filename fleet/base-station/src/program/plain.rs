@@ -15,12 +15,12 @@ use crate::script::Script;
 use crate::station::{SendError, Snapshot, Station};
 use anyhow::{Result, bail};
 use mom_brs::{Code, Command, Frame, Table};
+use mom_pages::Interrupt;
 use tokio::sync::broadcast::{Receiver, error::RecvError};
 use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, MissedTickBehavior, interval, timeout, timeout_at};
 
-use super::Interrupt;
 use super::args::SendArgs;
 
 /// Between two frames for the watchdogs of robots that drive: the usual one is 0.5 s.

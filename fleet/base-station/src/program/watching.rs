@@ -9,13 +9,13 @@ use crate::script::Script;
 use crate::station::{SendError, Station};
 use anyhow::Result;
 use mom_brs::Table;
+use mom_pages::Interrupt;
 use mom_screen::{Screen, keys};
 use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::mpsc::{self, UnboundedSender};
 use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, interval};
 
-use super::Interrupt;
 use super::view::{Asked, View};
 
 /// The picture is drawn so often at most.

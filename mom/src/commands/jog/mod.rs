@@ -22,9 +22,9 @@ use super::{drive, error_words};
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
-use crate::interrupt::Interrupt;
 use crate::output::Output;
 use crate::output::event::lost_words;
+use mom_pages::Interrupt;
 
 /// How often a velocity is said again.
 const AGAIN: Duration = Duration::from_millis(80);

@@ -22,9 +22,9 @@ use tracing_subscriber::EnvFilter;
 
 use crate::cli;
 use crate::failure::{Doing as _, Failure};
-use crate::interrupt::Interrupt;
 use crate::output::Output;
 use crate::output::style::{Tone, ink};
+use mom_pages::Interrupt;
 
 mod cubo;
 mod eyes;

@@ -21,10 +21,10 @@ use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::input;
-use crate::interrupt::Interrupt;
 use crate::output::event::lost_words;
 use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
+use mom_pages::Interrupt;
 
 /// How long a robot may take for its first status of a command.
 const ANSWER: Duration = Duration::from_secs(10);
