@@ -1,7 +1,7 @@
 // The page of a fleet in a browser, against a lab with ten robots, and against a hub with a thousand of which only words are there.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
-import { busiest, findings, letGo, start, until } from "./lab.mjs";
+import { findings, letGo, start, staysQuick, until } from "./lab.mjs";
 import { RawPeer } from "./rawpeer.mjs";
 
 const CONFIG = `
@@ -388,7 +388,8 @@ test("a thousand robots that tell their states every second stay readable, and t
   await until(page, async () => (await table.getAttribute("aria-rowcount")) === "1001");
   assert.ok((await fleet.locator("tbody tr").count()) < 100);
   await fleet.getByRole("button", { name: /^10 lost$/ }).waitFor();
-  const longest = await busiest(page, async () => {
+  await staysQuick(t, page, async () => {
+    await fleet.getByRole("button", { name: "Age", exact: true }).click();
     await fleet.getByRole("button", { name: "Battery", exact: true }).click();
     await row(101).waitFor();
     await table.focus();
@@ -410,5 +411,4 @@ test("a thousand robots that tell their states every second stay readable, and t
   await fleet.getByRole("button", { name: "Age", exact: true }).click();
   await fleet.locator(".rows").evaluate((element) => void (element.scrollTop = 0));
   await until(page, async () => /^(\d+(\.\d)? ms|[12]\.\d s)$/.test(await fleet.locator("tbody tr[data-unit] .age").first().innerText()));
-  t.diagnostic(`the longest task takes ${longest.toFixed(1)} ms of the processor`);
 });

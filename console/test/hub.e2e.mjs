@@ -1,7 +1,7 @@
 // The pages of contexts, peers and health in a browser, against a lab and against a hub with rules of its own.
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
-import { busiest, findings, go, start, until } from "./lab.mjs";
+import { findings, go, start, staysQuick, until } from "./lab.mjs";
 import { RawPeer } from "./rawpeer.mjs";
 
 /** Room for many, and for what is large; not all may read the figures. */
@@ -225,15 +225,15 @@ test("a page with a thousand peers stays quick", async (t) => {
   await peers.getByText(/^1,0\d\d peers$/).waitFor();
   await peers.getByText(/and 7\d\d more peers, which the hub does not list/).waitFor();
   assert.ok((await peers.getByRole("row").count()) < 80);
-  const longest = await busiest(page, async () => {
-    for (let down = 0; down < 5; down += 1) {
+  let way = -1500;
+  await staysQuick(t, page, async () => {
+    way = -way;
+    for (let turn = 0; turn < 5; turn += 1) {
       const top = await peers.getByRole("row").nth(1).innerText();
-      await peers.locator(".rows").evaluate((element) => void (element.scrollTop += 1500));
+      await peers.locator(".rows").evaluate((element, way) => void (element.scrollTop += way), way);
       await until(page, async () => (await peers.getByRole("row").nth(1).innerText()) !== top);
     }
   });
-  t.diagnostic(`the longest task takes ${longest.toFixed(1)} ms of the processor`);
-  assert.ok(longest < 100, `a task takes ${longest} ms`);
 });
 
 for (const [path, how, spec] of [["/flood", "that the hub thins out", { kind: "channel" }], ["/kept", "that keeps, so that the hub may not thin it out", { kind: "channel", keep: { parcels: 100 } }]]) {
@@ -245,9 +245,8 @@ for (const [path, how, spec] of [["/flood", "that the hub thins out", { kind: "c
     const watch = page.locator("mom-watch");
     await watch.getByRole("option").filter({ hasText: "has joined" }).waitFor();
     let end;
-    const longest = await busiest(page, async () => {
-      end = carol.flood(path, "tick", { pose: { x: 1.5, y: 2, z: 3 }, text: "<b>tick</b>" }, 10_000);
-      t.after(end);
+    await staysQuick(t, page, async () => {
+      if (!end) t.after((end = carol.flood(path, "tick", { pose: { x: 1.5, y: 2, z: 3 }, text: "<b>tick</b>" }, 10_000)));
       await watch.getByText(/^thinned: showing \d+ of about [\d,]+ a second$/).waitFor();
       // As long as it draws a while.
       await page.locator("mom-watch").evaluate(
@@ -258,8 +257,6 @@ for (const [path, how, spec] of [["/flood", "that the hub thins out", { kind: "c
           }),
       );
     });
-    t.diagnostic(`the longest task takes ${longest.toFixed(1)} ms of the processor`);
-    assert.ok(longest < 100, `a task takes ${longest} ms`);
     // It still obeys.
     await watch.getByRole("button", { name: "Pause" }).click();
     await watch.getByText("paused", { exact: false }).waitFor();

@@ -240,8 +240,8 @@ export async function until(page, what, within = 20_000) {
   }
 }
 
-/** Whatever runs on this machine: how long the longest task of pages' threads occupied the processor while something was done, ms. What its clock says would count other programs as well. */
-export async function busiest(page, during) {
+/** How long the longest task of pages' threads occupied the processor while something was done, ms. What its clock says would count other programs as well. */
+async function busiest(page, during) {
   const browser = page.context().browser();
   await browser.startTracing(page, { categories: ["toplevel", "devtools.timeline", "disabled-by-default-devtools.timeline"] });
   let trace;
@@ -254,6 +254,40 @@ export async function busiest(page, during) {
   const tasks = trace.filter(({ name, pid, tid, tdur }) => /RunTask/.test(name) && tdur !== undefined && main.has(`${pid} ${tid}`)).map(({ tdur }) => tdur / 1000);
   assert.ok(tasks.length > 10, `${tasks.length} tasks are in the trace`);
   return Math.max(...tasks);
+}
+
+/** What a page does in one task for comparison: it lays out a table of 250 rows of six cells. */
+const yardstick = () =>
+  new Promise((resolve) => {
+    const list = document.createElement("table");
+    list.style = "position: absolute; visibility: hidden";
+    for (let row = 0; row < 250; row += 1) {
+      const line = list.insertRow();
+      for (let cell = 0; cell < 6; cell += 1) line.insertCell().textContent = `${row} ${cell}`;
+    }
+    document.body.append(list);
+    const { height } = list.getBoundingClientRect();
+    list.remove();
+    // There are other tasks as well.
+    let left = 12;
+    const { port1, port2 } = new MessageChannel();
+    port1.onmessage = () => ((left -= 1) ? port2.postMessage(height) : resolve(height));
+    port2.postMessage(height);
+  });
+
+/**
+ * Fails if a task of the page takes so many times as long as one that this machine's speed is known by. What holds for each of three stretches is the page's; one stretch may
+ * have the browser's own work in it.
+ */
+export async function staysQuick(t, page, during, most = 4) {
+  const found = [];
+  while (found.length < 3 && !(found.at(-1) < most)) {
+    const unit = Math.min(await busiest(page, () => page.evaluate(yardstick)), await busiest(page, () => page.evaluate(yardstick)));
+    const longest = await busiest(page, during);
+    t.diagnostic(`the longest task takes ${longest.toFixed(1)} ms of the processor, the one for comparison ${unit.toFixed(1)} ms`);
+    found.push(longest / unit);
+  }
+  assert.ok(found.at(-1) < most, `tasks take ${found.map((times) => times.toFixed(1)).join(", ")} times as long as the one for comparison`);
 }
 
 const axe = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");

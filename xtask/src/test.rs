@@ -63,23 +63,25 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
     if !whole {
         return run_cargo(root, args, None, false);
     }
-    let (computing, others) = std::thread::scope(|scope| {
-        let others = scope.spawn(|| run_others(root, &programs));
+    let (computing, clients) = std::thread::scope(|scope| {
+        let clients = scope.spawn(|| run_clients(root, &programs));
         let computing = run_cargo(root, &Part::Computing.targets(), Some(&programs), true);
-        (computing, others.join())
+        (computing, clients.join())
     });
-    let (said, others) = others
+    let (said, clients) = clients
         .map_err(|_| anyhow!("the tests of the other languages ended by a fault of their runner"))??;
+    print!("{said}");
+    let (said, pages) = console::test(root, &programs.join("mom"))?;
     print!("{said}");
     let system = run_cargo(root, &Part::System.targets(), Some(&programs), false)?;
     let examples = run_cargo(root, &["--doc".to_owned()], None, false)?;
-    Ok(computing?.and(system).and(examples).and(others))
+    Ok(computing?.and(system).and(examples).and(clients).and(pages))
 }
 
-/// Which of the Rust tests run side by side with those of the other languages.
+/// Which of the Rust tests run side by side with those of the clients in other languages.
 ///
 /// Browsers and devices take each other's processor on two cores, and an arm that stands still for a quarter of a second halts. So tests
-/// that only compute run beside the browsers, with what these leave of the processor, and those that start programs run alone.
+/// that only compute run beside the clients', with what these leave of the processor; the console's and those that start programs run alone.
 enum Part {
     Computing,
     System,
@@ -152,18 +154,12 @@ impl Part {
     }
 }
 
-/// Runs the tests of the clients in other languages and of the console, one after the other; gives what they say, and their counts.
-fn run_others(root: &Path, programs: &Path) -> Result<(String, Counts)> {
+/// Runs the tests of the clients in other languages, one after the other; gives what they say, and their counts.
+fn run_clients(root: &Path, programs: &Path) -> Result<(String, Counts)> {
     let broker = programs.join("mom-broker");
-    let mut all = (String::new(), Counts::default());
-    for (said, counts) in [
-        clients::test(root, &broker)?,
-        javascript::test(root, &broker)?,
-        console::test(root, &programs.join("mom"))?,
-    ] {
-        all = (all.0 + &said, all.1.and(counts));
-    }
-    Ok(all)
+    let (python, counts) = clients::test(root, &broker)?;
+    let (js, more) = javascript::test(root, &broker)?;
+    Ok((python + &js, counts.and(more)))
 }
 
 /// Runs what cargo runs, with its output shown; the programs are built already if it is said where they are. Behind others it has what

@@ -139,8 +139,8 @@ export class CameraView {
     const slack = (offsetError ?? 0) + (error ?? 0) + 1;
     // A camera whose clock is wrong would show pictures of the future.
     if (here > (born ?? picture.arrived) + slack) return { born, error };
-    // The time is told to the ms, by the camera's notion of the hub's clock.
-    return { born: here, error: (error ?? offsetError ?? 0) + 1 };
+    // The error is that of the offset used: the message's own may be by a better exchange, of which the page has not heard yet. The time is told to the ms.
+    return { born: here, error: (offsetError ?? 0) + 1 };
   }
 
   #heard(event: HubEvent): void {
