@@ -81,7 +81,8 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
 /// Which of the Rust tests run side by side with those of the clients in other languages.
 ///
 /// Browsers and devices take each other's processor on two cores, and an arm that stands still for a quarter of a second halts. So tests
-/// that only compute run beside the clients', with what these leave of the processor; the console's and those that start programs run alone.
+/// that only compute run beside the clients', with what these leave of the processor; the console's run alone, as do those that start
+/// programs.
 enum Part {
     Computing,
     System,

@@ -5,7 +5,7 @@ use std::future::{Future, pending};
 use std::pin::pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use mom_base_station::fleet::{Fleet, Robot as Entry};
 use mom_base_station::station::Station;
@@ -13,13 +13,16 @@ use mom_client::{Channel, Client, ClientError};
 use mom_device::DeviceTime;
 use tokio::sync::{mpsc, watch};
 use tokio::task::{JoinError, JoinSet};
-use tokio::time::Instant;
+use tokio::time::{Instant, timeout};
 
 use crate::Unit;
 use crate::editor::{FleetFile, Taking};
 use crate::robot::{Leaving, Robot};
 use crate::site::{GatewayOptions, ROBOTS_PER_CONNECTION, RobotSite};
 use crate::station::{RobotWire, line};
+
+/// So long an end of the program waits for what was begun with a new fleet: longer than each step of it takes.
+const TAKING_OVER: Duration = Duration::from_secs(5);
 
 /// Fleets that are to be taken over, one after the other, and the base station whose robots they are.
 #[derive(Debug)]
@@ -136,7 +139,11 @@ impl Crew {
                     }
                 }
                 Some((Taking { fleet, told }, station)) = changed => {
-                    let taken = self.take_over(&fleet, &station, &mut result).await;
+                    let stops: Vec<_> = self.living.values().map(|living| living.stop.clone()).collect();
+                    let taking = self.take_over(&fleet, &station, &mut result);
+                    let Some(taken) = unless_ending(taking, &mut shutdown, &stops).await else {
+                        return result;
+                    };
                     match &taken {
                         Ok(()) => {
                             if let Some(changes) = &changes {
@@ -327,11 +334,38 @@ impl Crew {
         let (robot, stopping) = self.robot(place.clone(), line, client);
         let unit = robot.unit();
         self.tasks.spawn(async move {
-            let channel = place.enter().await.ok();
+            let mut told = stopping.clone();
+            let channel = tokio::select! {
+                entered = place.enter() => entered.ok(),
+                // A hub that is away answers nothing.
+                _ = told.wait_for(Option::is_some) => None,
+            };
             (unit, robot.live(channel, stopping).await)
         });
         let _ = station.connect(unit);
     }
+}
+
+/// Waits for a fleet to be taken over. None where the program is to end before: all robots hear of that at once, and what the taking over
+/// still has under way, such as that a robot leaves its channel, is waited for a while.
+async fn unless_ending<T>(
+    taking: impl Future<Output = T>,
+    shutdown: &mut (impl Future<Output = ()> + Unpin),
+    stops: &[watch::Sender<Option<Leaving>>],
+) -> Option<T> {
+    let mut taking = pin!(taking);
+    tokio::select! {
+        biased;
+        () = shutdown => {}
+        taken = &mut taking => return Some(taken),
+    }
+    for stop in stops {
+        stop.send_replace(Some(Leaving::Program));
+    }
+    if timeout(TAKING_OVER, taking).await.is_err() {
+        tracing::warn!("the program ends before the fleet's file was taken over");
+    }
+    None
 }
 
 /// Whether a robot need not be met anew: its name is nothing to the gateway.
@@ -346,4 +380,36 @@ fn time_of_day() -> DeviceTime {
         .ok()
         .and_then(|since| DeviceTime::try_from(since.as_micros()).ok())
         .unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::future::ready;
+
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn an_end_amid_a_new_fleet_is_told_to_all_at_once_and_waits_for_no_hub() {
+        let (stop, mut told) = watch::channel(None);
+        let begin = Instant::now();
+        let stops = [stop];
+        let mut shutdown = ready(());
+        let ends = unless_ending(pending::<()>(), &mut shutdown, &stops);
+        let hears = async {
+            let _ = told.wait_for(Option::is_some).await;
+            (begin.elapsed(), *told.borrow())
+        };
+        let (taken, (after, leaving)) = tokio::join!(ends, hears);
+        assert_eq!(
+            (taken, after, leaving),
+            (None, Duration::ZERO, Some(Leaving::Program))
+        );
+        assert_eq!(begin.elapsed(), TAKING_OVER);
+    }
+
+    #[tokio::test]
+    async fn what_is_taken_over_before_an_end_is_told() {
+        let taken = unless_ending(ready(7), &mut pending(), &[]).await;
+        assert_eq!(taken, Some(7));
+    }
 }

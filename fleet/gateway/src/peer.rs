@@ -36,7 +36,7 @@ async fn run_until(
     lines: Vec<RobotWire>,
     options: GatewayOptions,
     changes: Option<Changes>,
-    shutdown: Boxed<'static, ()>,
+    mut shutdown: Boxed<'static, ()>,
 ) -> Result<(), ClientError> {
     let Some(first) = clients.first() else {
         return Err(ClientError::Connection(
@@ -44,14 +44,19 @@ async fn run_until(
         ));
     };
     let options = Arc::new(options);
-    ensure_session(first, &options.session).await?;
+    let Some(made) = unless(&mut shutdown, ensure_session(first, &options.session)).await else {
+        return Ok(());
+    };
+    made?;
     // Each stays in it for as long as this lives.
     let mut statuses = JoinSet::new();
     for client in &clients {
-        let status = enter_status(client, &options.status()).await?;
+        let Some(status) = unless(&mut shutdown, enter_status(client, &options.status())).await else {
+            return Ok(());
+        };
         let (client, path) = (client.clone(), options.status());
         statuses.spawn(stay(
-            status,
+            status?,
             move || {
                 let (client, path) = (client.clone(), path.clone());
                 async move { enter_status(&client, &path).await }
@@ -73,29 +78,14 @@ async fn run_until(
         statuses.spawn(editor.serve());
     }
     let mut crew = Crew::new(clients.clone(), Arc::clone(&options), lines.len());
-    let share = lines.len().div_ceil(clients.len()).max(1);
-    let mut entered = Ok(());
-    for (line, number) in lines.into_iter().zip(0..) {
-        let Some(place) = crew.place(&line, number / share) else {
-            continue;
-        };
-        let channel = match place.enter().await {
-            Ok(channel) => Some(channel),
-            // The others need not wait for that one's end.
-            Err(error) if error.code() == Some(&Code::OCCUPIED) => None,
-            Err(error) => {
-                entered = Err(error);
-                break;
-            }
-        };
-        crew.live(place, line, number / share, channel);
-    }
+    let entered = enter_all(&mut crew, lines, clients.len(), &mut shutdown).await;
     let result = match entered {
-        Ok(()) => {
+        Some(Ok(())) => {
             tracing::info!(peer = first.name(), connections = clients.len(), robots = crew.len(), session = %options.session, "the gateway is ready");
             crew.serve(changes, shutdown).await
         }
-        Err(error) => Err(error),
+        Some(Err(error)) => Err(error),
+        None => Ok(()),
     };
     crew.end().await;
     drop(statuses);
@@ -103,4 +93,37 @@ async fn run_until(
         client.close().await;
     }
     result
+}
+
+/// Has each robot join its channel, and live. None if the program is to end before.
+async fn enter_all(
+    crew: &mut Crew,
+    lines: Vec<RobotWire>,
+    clients: usize,
+    shutdown: &mut Boxed<'static, ()>,
+) -> Option<Result<(), ClientError>> {
+    let share = lines.len().div_ceil(clients).max(1);
+    for (line, number) in lines.into_iter().zip(0..) {
+        let Some(place) = crew.place(&line, number / share) else {
+            continue;
+        };
+        let channel = match unless(shutdown, place.enter()).await {
+            Some(Ok(channel)) => Some(channel),
+            // The others need not wait for that one's end.
+            Some(Err(error)) if error.code() == Some(&Code::OCCUPIED) => None,
+            Some(Err(error)) => return Some(Err(error)),
+            None => return None,
+        };
+        crew.live(place, line, number / share, channel);
+    }
+    Some(Ok(()))
+}
+
+/// What is done of this, unless the program is to end before: a hub that stands still answers nothing.
+async fn unless<T>(shutdown: &mut Boxed<'static, ()>, work: impl Future<Output = T>) -> Option<T> {
+    tokio::select! {
+        biased;
+        () = shutdown => None,
+        done = work => Some(done),
+    }
 }

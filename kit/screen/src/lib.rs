@@ -1,5 +1,6 @@
 //! The terminal as a whole, for programs that draw on it and take keys.
 
+use std::mem::ManuallyDrop;
 use std::{io, thread};
 
 use ratatui::DefaultTerminal;
@@ -9,8 +10,8 @@ use tokio::sync::mpsc;
 /// The terminal, which is as it was before when this is dropped.
 #[derive(Debug)]
 pub struct Screen {
-    /// Draws.
-    pub terminal: DefaultTerminal,
+    /// Draws. It is never dropped: it would insist on telling a terminal that is gone that it is, and panic.
+    pub terminal: ManuallyDrop<DefaultTerminal>,
 }
 
 impl Screen {
@@ -20,7 +21,7 @@ impl Screen {
     ///
     /// Standard output is not a terminal, or cannot be set.
     pub fn take() -> io::Result<Screen> {
-        let terminal = ratatui::try_init()?;
+        let terminal = ManuallyDrop::new(ratatui::try_init()?);
         Ok(Screen { terminal })
     }
 }
@@ -28,6 +29,7 @@ impl Screen {
 impl Drop for Screen {
     fn drop(&mut self) {
         // Nobody could be told on this terminal.
+        let _ = self.terminal.show_cursor();
         let _ = ratatui::try_restore();
     }
 }

@@ -253,7 +253,9 @@ fn log(filter: &str, json: bool, lines: &LogWriter, others: Option<OtherLayer>) 
     let lines = lines.clone();
     let shown = tracing_subscriber::fmt::layer()
         .with_ansi(std::io::stderr().is_terminal())
-        .with_writer(move || lines.clone());
+        .with_writer(move || lines.clone())
+        // What takes no lines takes no complaint either, and to insist would panic.
+        .log_internal_errors(false);
     let shown = if json { shown.json().boxed() } else { shown.boxed() };
     // The filter is this layer's own: others have theirs.
     let (filter, handle) = tracing_subscriber::reload::Layer::new(filter);

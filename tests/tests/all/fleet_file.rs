@@ -27,7 +27,7 @@ fn row(hub: &str, unit: i64, is: impl Fn(&Json) -> bool) -> Json {
 }
 
 /// Waits until a log says that.
-fn logged(log: &std::path::Path, words: &str) -> String {
+pub(crate) fn logged(log: &std::path::Path, words: &str) -> String {
     let until = Instant::now() + PATIENCE;
     loop {
         let said = std::fs::read_to_string(log).expect("the log is there");
@@ -39,7 +39,7 @@ fn logged(log: &std::path::Path, words: &str) -> String {
 }
 
 /// The table of each of the five robots, once their program has written them.
-fn tables(file: &str) -> Vec<String> {
+pub(crate) fn tables(file: &str) -> Vec<String> {
     let until = Instant::now() + PATIENCE;
     loop {
         let text = std::fs::read_to_string(file).unwrap_or_default();

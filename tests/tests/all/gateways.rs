@@ -1,9 +1,13 @@
 //! Two gateways of one fleet: a robot has one base station at a time, and its channel one device.
 
+use std::fs::File;
 use std::path::Path;
+use std::process::Stdio;
 
 use mom_tests::faulty::{Fault, FaultyNetwork};
 use mom_tests::programs::{PATIENCE, Running, project, run, text};
+
+use crate::fleet_file::{logged, tables};
 
 /// Has the robot do something, once it is within reach of the gateway that has its channel.
 fn obeys(hub: &str) {
@@ -126,4 +130,38 @@ fn a_gateway_that_has_lost_the_hub_leaves_the_robots_to_the_other() {
     spare.signal("KILL");
     spare.wait();
     obeys(&hub);
+}
+
+/// A robot that comes by a new file has its channel from a hub, which may be away when the program is to end.
+#[test]
+fn a_gateway_whose_hub_is_away_ends_though_a_new_file_is_being_taken_over() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| {
+        folder
+            .path()
+            .join(name)
+            .to_str()
+            .expect("a path in text")
+            .to_owned()
+    };
+    let (all, fleet, log) = (at("all.toml"), at("fleet.toml"), folder.path().join("log"));
+    let robots = ["--robots", "5", "--write-fleet", &all, "--listen", "127.0.0.1:0"];
+    let _robots = Running::start("mom-linuxbot", &robots, &[]);
+    let tables = tables(&all);
+    std::fs::write(&fleet, &tables[0]).expect("it is written");
+    let (broker, address) = Running::broker(&project().join("config/fleet.toml"));
+    let hub = format!("bin://{address}");
+    let gateway = Running::start_with(
+        "mom-gateway",
+        &["--fleet", &fleet, "--hub", &hub, "--manager", "robot-token"],
+        &[("MOM_PASSWORD", "gateway")],
+        Stdio::from(File::create(&log).expect("a log")),
+    );
+    logged(&log, "all robots are connected");
+    drop(broker);
+    std::fs::write(&fleet, tables[..2].concat()).expect("it is written");
+    gateway.signal("HUP");
+    logged(&log, "the fleet's file is taken over");
+    gateway.signal("TERM");
+    assert_eq!(gateway.wait().code(), Some(0));
 }

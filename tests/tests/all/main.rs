@@ -64,6 +64,8 @@ mod status;
 mod stops;
 mod streams;
 mod swarm;
+#[cfg(target_os = "linux")]
+mod terminals;
 mod thinning;
 mod threats;
 mod time;

@@ -309,7 +309,7 @@ async fn only_signals_that_say_so_stop_a_broker() {
 }
 
 /// Whether what this process starts ignores SIGHUP.
-fn ignores_hangup() -> bool {
+pub(crate) fn ignores_hangup() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").expect("the system tells");
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let ignored = u64::from_str_radix(ignored.expect("it is told").trim(), 16);

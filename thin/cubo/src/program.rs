@@ -82,6 +82,8 @@ pub async fn run(args: Vec<OsString>) -> anyhow::Result<()> {
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
+        // A terminal that is gone takes no complaint either, and to insist would panic.
+        .log_internal_errors(false)
         .with_ansi(std::io::stderr().is_terminal())
         .init();
     if let Some(file) = &args.write_key {

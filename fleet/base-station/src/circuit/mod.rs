@@ -11,15 +11,16 @@ mod options;
 mod state;
 #[cfg(test)]
 mod tests;
+mod up;
 mod waiting;
 
 use std::collections::VecDeque;
 
-use mom_brs::{Code, Command, Direction, Encoded, Frame, MOST_ASTRAY, Parser, Table};
+use mom_brs::{Code, Command, Direction, Encoded, Frame, MOST_ASTRAY, Table};
 
 use self::backoff::Backoff;
 use self::budget::Budget;
-use self::waiting::Waiting;
+use self::up::{Since, Up};
 
 pub use faults::Faults;
 pub use options::Options;
@@ -106,41 +107,6 @@ enum Phase {
     Up(Box<Up>),
 }
 
-/// A TCP connection.
-#[derive(Debug)]
-struct Up {
-    parser: Parser,
-    /// When the last bytes came.
-    last_bytes: i64,
-    /// Whether the robot has said anything but who holds it.
-    heard: bool,
-    /// Since when nothing can be written.
-    blocked: Option<Since>,
-    /// When the next NULL is due.
-    next_null: i64,
-    /// When the NULLs were sent that have no reply yet; replies come in this order.
-    unanswered: VecDeque<Since>,
-    /// How many NULLs have been sent and answered on this connection, and how many had been sent before the last stop, if one was.
-    nulls_sent: u64,
-    nulls_answered: u64,
-    nulls_before_stop: Option<u64>,
-    /// How many replies are owed, and how many have come that were not, beyond those that were.
-    owed: u32,
-    unasked: u32,
-    /// Since when there has been more to read than is read.
-    flood: Option<i64>,
-    /// For how long this side was late altogether: nobody listened, so that the robot was not silent.
-    late: i64,
-    waiting: Waiting,
-}
-
-/// A moment, and how late this side had been until then.
-#[derive(Clone, Copy, Debug)]
-struct Since {
-    at: i64,
-    late: i64,
-}
-
 /// The state machine of one robot's connection.
 #[derive(Debug)]
 pub struct Circuit {
@@ -159,6 +125,8 @@ pub struct Circuit {
     in_motion: bool,
     /// Whether it was told to move or to stop, and has not confirmed since that it has read a stop: on any connection.
     may_move: bool,
+    /// Whether a stop is to be said as soon as there is a connection.
+    owes_stop: bool,
     /// When something was taken last.
     taken: i64,
 }
@@ -182,6 +150,7 @@ impl Circuit {
             last_end: None,
             in_motion: false,
             may_move: false,
+            owes_stop: false,
             taken: i64::MIN,
         }
     }
@@ -280,25 +249,26 @@ impl Circuit {
     }
 
     /// Drops what waits, and stops the motors before anything else: of a robot that takes commands, in motion or not. A NULL behind it
-    /// shows that it was read ([`Circuit::is_stop_heard`]).
+    /// shows that it was read ([`Circuit::is_stop_heard`]). Where there is no connection on which the robot has said anything, it is said
+    /// first on the next one; where one is wanted, that is tried when [`Input::Time`] is taken.
     ///
     /// # Errors
     ///
-    /// There is no connection on which the robot has said anything.
+    /// It has not been said yet.
     pub fn halt(&mut self) -> Result<(), Refusal> {
         let state = self.state();
         match &mut self.phase {
             Phase::Up(up) if up.heard => {
-                up.waiting.clear();
-                let stop = Frame::new(&Command::MOTOR, &[0, 0]).map_err(|_| Refusal::NoCommand)?;
-                up.waiting.push(stop)?;
-                if up.unanswered.len() < MOST_UNANSWERED {
-                    let null = Frame::new(&Command::NULL, &[]).map_err(|_| Refusal::NoCommand)?;
-                    up.waiting.push(null)?;
-                }
-                Ok(())
+                self.owes_stop = false;
+                up.stop()
             }
-            _ => Err(Refusal::NotWritable(state)),
+            phase => {
+                self.owes_stop = true;
+                if let Phase::Pausing(until) = phase {
+                    *until = self.taken;
+                }
+                Err(Refusal::NotWritable(state))
+            }
         }
     }
 
@@ -483,22 +453,7 @@ impl Circuit {
     fn begin(&mut self, now: i64) {
         self.round_trip = None;
         self.status = None;
-        self.phase = Phase::Up(Box::new(Up {
-            parser: Parser::new(self.table, Direction::Reply),
-            last_bytes: now,
-            heard: false,
-            blocked: None,
-            next_null: now,
-            unanswered: VecDeque::new(),
-            nulls_sent: 0,
-            nulls_answered: 0,
-            nulls_before_stop: None,
-            owed: 0,
-            unasked: 0,
-            flood: None,
-            late: 0,
-            waiting: Waiting::default(),
-        }));
+        self.phase = Phase::Up(Box::new(Up::new(self.table, now)));
     }
 
     /// The end of an attempt or a connection that is still wanted.
@@ -577,6 +532,10 @@ impl Circuit {
             }
             self.outputs
                 .push_back(Output::Note(Note::Received(frame, round_trip)));
+        }
+        if up.heard && std::mem::take(&mut self.owes_stop) {
+            // There is always a place for it.
+            let _ = up.stop();
         }
         // A status or an answer found in the middle of something else is worth nothing; without its station the robot stands.
         if up.parser.astray() > MOST_ASTRAY {

@@ -73,7 +73,9 @@ pub(super) async fn show(
             Asked::Nothing => {}
             Asked::Quit => return Ok(()),
             Asked::ConnectAll => station.connect_all(),
-            Asked::Disconnect(unit) => station.disconnect(unit)?,
+            Asked::Disconnect(unit) => {
+                playing.spawn(part(station.clone(), unit, tell.clone()));
+            }
             Asked::Halt => {
                 // What scripts would still say is not said.
                 playing.shutdown().await;
@@ -93,6 +95,15 @@ async fn halt(station: Station, tell: UnboundedSender<String>) {
     for unit in station.halt().await {
         let _ = tell.send(format!("unit {unit} has not confirmed its stop"));
     }
+}
+
+async fn part(station: Station, unit: Unit, tell: UnboundedSender<String>) {
+    let said = match station.part(unit).await {
+        Ok(true) => return,
+        Ok(false) => format!("unit {unit} has not confirmed its stop, and is disconnected"),
+        Err(error) => error.to_string(),
+    };
+    let _ = tell.send(said);
 }
 
 async fn carry_out(station: Station, script: Script, tell: UnboundedSender<String>) {

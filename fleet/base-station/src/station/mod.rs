@@ -200,7 +200,20 @@ impl Station {
         Ok(())
     }
 
-    /// Ends the connection to one robot.
+    /// Stops the motors of one robot, if it may be in motion, waits until it has read that, a second at most, and ends the connection.
+    /// False if it may be in motion still.
+    ///
+    /// # Errors
+    ///
+    /// There is no such unit.
+    pub async fn part(&self, unit: Unit) -> Result<bool, SendError> {
+        let seat = self.seat(unit)?;
+        let stands = !seat.halt() || timeout(PATIENCE, seat.halted()).await.unwrap_or(false);
+        seat.take(&self.inner.shared, Input::Disconnect);
+        Ok(stands)
+    }
+
+    /// Ends the connection to one robot, which goes on with what it does: [`part`](Station::part) stops it before.
     ///
     /// # Errors
     ///

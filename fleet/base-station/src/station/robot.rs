@@ -108,8 +108,9 @@ impl Seat {
     pub(super) fn halt(&self) -> bool {
         let mut circuit = self.circuit.lock();
         let moving = circuit.may_move() || circuit.waiting() > 0;
-        // Without a connection it stays in motion, which is told.
-        if moving && circuit.halt().is_ok() {
+        if moving {
+            // Without a connection it is said on the next one, which is tried at once.
+            let _ = circuit.halt();
             self.wake.notify_one();
         }
         moving
@@ -122,8 +123,8 @@ impl Seat {
             match circuit.state() {
                 State::Writable if circuit.waiting() == 0 && circuit.is_in_motion() => Some(false),
                 State::Writable if circuit.is_stop_heard() => Some(true),
-                State::Writable | State::Connected => None,
-                State::Trying | State::Disconnected => Some(false),
+                State::Writable | State::Connected | State::Trying => None,
+                State::Disconnected => Some(false),
             }
         })
         .await

@@ -382,6 +382,42 @@ async fn a_robot_that_was_set_in_motion_and_is_lost_is_named_by_halt() {
     assert_eq!(station.halt().await, [1]);
 }
 
+#[tokio::test]
+async fn a_robot_whose_connection_has_just_broken_hears_its_stop_on_the_next_one() {
+    let mut robot = Robot::start().await;
+    let station = station(&[robot.port], Options::default());
+    station.connect_all();
+    writable(&station, 1).await;
+    station.send(1, motor(7, 7)).unwrap();
+    assert_eq!(robot.command().await, "06 00007 00007");
+    robot.tell("cut").await;
+    until(&station, 1, |snapshot| snapshot.state == State::Trying).await;
+    // It waits for no pause between two attempts.
+    assert_eq!(station.halt().await, [] as [Unit; 0]);
+    assert_eq!(robot.command().await, "06 00000 00000");
+}
+
+#[tokio::test]
+async fn to_part_from_a_robot_stops_it_first_and_tells_where_that_is_not_known() {
+    let mut robot = Robot::start().await;
+    let station = station(&[robot.port], Options::default());
+    station.connect_all();
+    writable(&station, 1).await;
+    station.send(1, motor(7, 7)).unwrap();
+    assert_eq!(robot.command().await, "06 00007 00007");
+    assert!(station.part(1).await.unwrap());
+    assert_eq!(robot.command().await, "06 00000 00000");
+    until(&station, 1, |snapshot| snapshot.state == State::Disconnected).await;
+    // It stands, so there is nothing to wait for.
+    assert!(station.part(1).await.unwrap());
+    station.connect(1).unwrap();
+    writable(&station, 1).await;
+    station.send(1, motor(7, 7)).unwrap();
+    assert_eq!(robot.command().await, "06 00007 00007");
+    robot.tell("mute").await;
+    assert!(!station.part(1).await.unwrap());
+}
+
 /// What is written may lie in a network, or before a program that is frozen: only what the robot has read stops it.
 #[tokio::test]
 async fn a_robot_that_answers_nothing_more_is_named_by_halt() {

@@ -186,6 +186,8 @@ fn log(filter: &str) -> Result<(), Failure> {
         .with_env_filter(filter)
         .with_ansi(colour)
         .with_writer(io::stderr)
+        // A terminal that is gone takes no complaint either, and to insist would panic.
+        .log_internal_errors(false)
         .init();
     Ok(())
 }
