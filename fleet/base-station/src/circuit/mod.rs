@@ -250,7 +250,7 @@ impl Circuit {
 
     /// Drops what waits, and stops the motors before anything else: of a robot that takes commands, in motion or not. A NULL behind it
     /// shows that it was read ([`Circuit::is_stop_heard`]). Where there is no connection on which the robot has said anything, it is said
-    /// first on the next one; where one is wanted, that is tried when [`Input::Time`] is taken.
+    /// first on the next one; where one is wanted, that is tried at once.
     ///
     /// # Errors
     ///
@@ -264,8 +264,8 @@ impl Circuit {
             }
             phase => {
                 self.owes_stop = true;
-                if let Phase::Pausing(until) = phase {
-                    *until = self.taken;
+                if matches!(phase, Phase::Pausing(_)) {
+                    self.attempt(self.taken);
                 }
                 Err(Refusal::NotWritable(state))
             }
