@@ -18,6 +18,8 @@ pub(crate) struct Counts {
     failures: Vec<String>,
     /// The next line says why.
     panicked: bool,
+    /// A line of what follows says why, as Node tells it.
+    untold: bool,
 }
 
 impl Counts {
@@ -41,10 +43,13 @@ impl Counts {
             || line.starts_with("ERROR ")
             || line.starts_with("not ok ");
         let panicked = line.starts_with("thread '") && line.contains(" panicked at ");
-        if named || panicked || self.panicked {
+        let told = self.untold && line.starts_with("error: ");
+        if named || panicked || told || self.panicked {
             self.failures.push(line.chars().take(300).collect());
         }
-        self.panicked = panicked;
+        // A text of several lines begins below.
+        self.panicked = panicked || (told && line.ends_with("|-"));
+        self.untold = line.starts_with("not ok ") || (self.untold && !told && line != "...");
     }
 
     /// Adds what a line `test result: ok. 3 passed; 1 failed; …` says; any other line says nothing.
@@ -165,7 +170,16 @@ mod tests {
             "note: run with RUST_BACKTRACE=1",
             "FAILED tests/test_wire.py::test_it - assert 1 == 2",
             "    not ok 3 - the page stops",
+            "      ---",
+            "      error: 'it went on for 320 ms'",
+            "      code: 'ERR_ASSERTION'",
+            "      ...",
             "ok 4 - not ok",
+            "error: that of another tool",
+            "not ok 5 - it says so",
+            "  error: |-",
+            "    it does not",
+            "    at all",
         ] {
             counts.add_line(line);
         }
@@ -175,6 +189,10 @@ mod tests {
             "it moved",
             "FAILED tests/test_wire.py::test_it - assert 1 == 2",
             "not ok 3 - the page stops",
+            "error: 'it went on for 320 ms'",
+            "not ok 5 - it says so",
+            "error: |-",
+            "it does not",
         ];
         assert_eq!(counts.failures, expected);
         assert_eq!(Counts::default().and(counts).failures, expected);
