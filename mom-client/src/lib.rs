@@ -62,8 +62,9 @@ pub use link::reconnect::Reconnect;
 pub use link::report::{Report, report};
 pub use mom_net::{Address, Identity, NetError, Trust};
 pub use mom_proto::{
-    ClockOffset, Code, Content, ContextKind, Delivery, Family, Fingerprint, HISTORY, HUB, Map, MessageRate,
-    Parcel, Path, Thinning, Time, TraceParent, Value, WireError, event, from_value, to_value, visible,
+    CARD_VERSION, Card, CardArg, CardField, CardType, CardVerb, ClockOffset, Code, Content, ContextKind,
+    Delivery, Family, FieldType, Fingerprint, HISTORY, HUB, Map, MessageRate, OnLoss, Parcel, Path, Thinning,
+    Time, TraceParent, Value, WireError, event, from_value, to_value, visible,
 };
 pub use peer::link_state::LinkState;
 pub use peer::shared::Boxed;

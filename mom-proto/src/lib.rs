@@ -16,6 +16,7 @@
 #[cfg(test)]
 mod arbitrary;
 pub mod binary;
+mod card;
 mod challenge;
 mod checksum;
 mod clock_offset;
@@ -52,6 +53,7 @@ mod verb;
 mod visible;
 pub mod xml;
 
+pub use card::{CARD_VERSION, Card, CardArg, CardField, CardType, CardVerb, FieldType, MAX_CARD, OnLoss};
 pub use challenge::{
     LINK_CONTEXT, LOGIN_CONTEXT, NONCE_BYTES, SECRET_BYTES, link_challenge, login_challenge,
 };

@@ -8,7 +8,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use crate::{Map, Value};
 
 /// The version of the protocol that this crate speaks: major, minor. A higher minor only adds.
-pub const PROTOCOL_VERSION: (u8, u8) = (1, 3);
+pub const PROTOCOL_VERSION: (u8, u8) = (1, 4);
 
 /// The deepest nesting that any configuration allows: reading recurses, and stacks are finite.
 pub const HARD_DEPTH: usize = 128;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mom_net::Transceiver;
-use mom_proto::{ContextKind, Family, Map, Parcel, Path, Thinning, Value};
+use mom_proto::{Card, ContextKind, Family, Map, Parcel, Path, Thinning, Value, to_value};
 use tokio::sync::watch;
 use tokio::time::timeout;
 use tracing::Instrument as _;
@@ -168,6 +168,22 @@ impl Client {
         Ok(map_of(&self.ask(Family::Context, "info", path, None).await?))
     }
 
+    /// What the device of a channel says that it can do, with its peer's name; none where no device there has a card. Nothing that protects
+    /// may rely on it.
+    ///
+    /// # Errors
+    /// `Refused` with `unknown-path` or `denied`; `Local` for a card of a later form than this client reads.
+    pub async fn card(&self, path: &str) -> Result<Option<(String, Card)>, ClientError> {
+        let asked = Map::new().with("card", true);
+        let info = map_of(&self.ask(Family::Context, "info", path, Some(asked)).await?);
+        let Some(card) = info.get("card") else {
+            return Ok(None);
+        };
+        let card = Card::read(card).map_err(ClientError::Local)?;
+        let peer = info.get("device").and_then(Value::as_str);
+        Ok(Some((peer.unwrap_or_default().to_owned(), card)))
+    }
+
     /// The members of a context.
     ///
     /// # Errors
@@ -318,8 +334,22 @@ impl Client {
     /// # Errors
     /// As [`Client::session`].
     pub async fn channel_as_device(&self, path: &str) -> Result<Channel, ClientError> {
+        self.channel_of_device(path, None).await
+    }
+
+    /// The same for a device that says what it can do: others read its card by [`Client::card`].
+    ///
+    /// # Errors
+    /// As [`Client::session`], and `bad-content` for a card that the hub does not take, with the slot of what is wrong.
+    pub async fn channel_with_card(&self, path: &str, card: &Card) -> Result<Channel, ClientError> {
+        let card = to_value(card).map_err(ClientError::Local)?;
+        self.channel_of_device(path, Some(Arc::new(card))).await
+    }
+
+    async fn channel_of_device(&self, path: &str, card: Option<Arc<Value>>) -> Result<Channel, ClientError> {
         let terms = Terms {
             device: true,
+            card,
             ..Terms::default()
         };
         self.enter_kind(path, ContextKind::Channel, Some(terms))

@@ -94,7 +94,7 @@ impl Client {
 
     async fn join_in_turn(&self, path: &Path, terms: Option<Terms>) -> Entered {
         let shared = &self.handle.shared;
-        let (places, wants) = shared.want(&way_to(path), terms)?;
+        let (places, wants) = shared.want(&way_to(path), terms.as_ref())?;
         let again = terms.filter(|_| !matches!(wants.last(), Some(Want::Join(_))));
         // From here on the count is released whatever happens.
         let inner = MembershipState {

@@ -202,7 +202,8 @@ impl Shared {
         state.status = Status::Up;
         self.begin_link(&mut state, LinkSecret::read(&welcome.content));
         state.me = Arc::new(welcome);
-        let places = state.places.rejoin(&self.settings.installation);
+        let cards = state.me.takes_cards;
+        let places = state.places.rejoin(&self.settings.installation, cards);
         state.rejoining = places.len();
         if places.is_empty() {
             state.subscribers.deliver_unaddressed(Event::Rejoined);

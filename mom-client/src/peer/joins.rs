@@ -22,7 +22,7 @@ impl Shared {
     pub(crate) fn want(
         &self,
         way: &[Path],
-        terms: Option<Terms>,
+        terms: Option<&Terms>,
     ) -> Result<(Vec<(Path, u64)>, Vec<Want>), ClientError> {
         let mut state = self.lock();
         state.check_up()?;
@@ -34,11 +34,12 @@ impl Shared {
             if matches!(want, Want::Join(_)) {
                 let mut waiter = Some(AnswerTo::Join(path.clone(), serial));
                 let last = places.len() == way.len();
-                let terms = terms.filter(|_| last).unwrap_or_default();
+                let terms = terms.filter(|_| last).cloned().unwrap_or_default();
                 if let Some(place) = state.places.get(path, serial) {
-                    place.terms = terms;
+                    place.terms = terms.clone();
                 }
-                let content = terms.content(&state.places.latch(path), &self.settings.installation);
+                let cards = state.me.takes_cards;
+                let content = terms.content(&state.places.latch(path), &self.settings.installation, cards);
                 asked = self.ask_in(&mut state, join(path, content), &mut waiter);
             }
             wants.push(want);
@@ -84,7 +85,11 @@ impl Shared {
     /// Joins a channel again, on other terms.
     pub(crate) async fn set_terms(&self, path: &Path, terms: Terms) -> Result<(), ClientError> {
         // An empty map too: without content the hub leaves everything as it was.
-        let content = terms.map(&self.lock().places.latch(path), &self.settings.installation);
+        let content = {
+            let state = self.lock();
+            let latch = state.places.latch(path);
+            terms.map(&latch, &self.settings.installation, state.me.takes_cards)
+        };
         let parcel = verb(Family::Context, "join", path).content(content);
         let reply = self.request(parcel).await?;
         let mut state = self.lock();

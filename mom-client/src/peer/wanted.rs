@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use mom_proto::{ContextNumber, Map, Path, Thinning};
+use mom_proto::{ContextNumber, Map, Path, Thinning, Value};
 use tokio::sync::oneshot;
 
 use crate::device::installation::Installation;
@@ -40,26 +40,32 @@ pub(crate) struct WantedContext {
 }
 
 /// On what terms a client is in a context.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Terms {
     pub(crate) thinning: Thinning,
     /// It obeys stops there, and says so.
     pub(crate) device: bool,
+    /// What it can do there as a device.
+    pub(crate) card: Option<Arc<Value>>,
 }
 
 impl Terms {
-    /// For the hub; none where there is nothing to say. A device says what it has heard of stops.
-    pub(crate) fn content(self, latch: &Latch, installation: &Installation) -> Option<Map> {
-        (self.thinning.thins() || self.device).then(|| self.map(latch, installation))
+    /// For the hub; none where there is nothing to say. A device says what it has heard of stops, and shows its card to a hub that
+    /// takes it.
+    pub(crate) fn content(&self, latch: &Latch, installation: &Installation, cards: bool) -> Option<Map> {
+        (self.thinning.thins() || self.device).then(|| self.map(latch, installation, cards))
     }
 
     /// The same, also where there is nothing to say any more.
-    pub(crate) fn map(self, latch: &Latch, installation: &Installation) -> Map {
+    pub(crate) fn map(&self, latch: &Latch, installation: &Installation, cards: bool) -> Map {
         let mut map = Map::new();
         self.thinning.describe(&mut map);
         if self.device {
             let mut word = latch.word();
             installation.describe(&mut word);
+            if let Some(card) = self.card.as_deref().filter(|_| cards) {
+                word.set("card", card.clone());
+            }
             map.set("device", word);
         }
         map
@@ -152,7 +158,10 @@ impl WantedContexts {
 
     /// On what terms this client is in a context.
     pub(crate) fn terms(&self, path: &Path) -> Terms {
-        self.places.get(path).map(|place| place.terms).unwrap_or_default()
+        self.places
+            .get(path)
+            .map(|place| place.terms.clone())
+            .unwrap_or_default()
     }
 
     /// The numbers of the contexts that this peer is in.
@@ -252,7 +261,11 @@ impl WantedContexts {
     }
 
     /// The link is back: returns all contexts, parents first, to be joined again.
-    pub(crate) fn rejoin(&mut self, installation: &Installation) -> Vec<(Path, u64, Option<Map>)> {
+    pub(crate) fn rejoin(
+        &mut self,
+        installation: &Installation,
+        cards: bool,
+    ) -> Vec<(Path, u64, Option<Map>)> {
         let again = |(path, place): (&Path, &mut WantedContext)| {
             place.phase = JoinPhase::Joining {
                 again: true,
@@ -261,7 +274,7 @@ impl WantedContexts {
             (
                 path.clone(),
                 place.serial,
-                place.terms.content(&place.latch, installation),
+                place.terms.content(&place.latch, installation, cards),
             )
         };
         self.places.iter_mut().map(again).collect()

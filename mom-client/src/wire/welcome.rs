@@ -17,8 +17,13 @@ pub(crate) struct Welcome {
     pub(crate) limits: PeerLimits,
     /// What was agreed on for this connection.
     pub(crate) compression: Option<Compression>,
+    /// Whether the hub takes cards of devices; one of an earlier version refuses what it does not know.
+    pub(crate) takes_cards: bool,
     pub(crate) content: Map,
 }
+
+/// The minor version of the protocol from which on a hub takes cards.
+const CARDS: u64 = 4;
 
 /// The hub's limits that this end keeps.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -32,6 +37,8 @@ pub(crate) struct PeerLimits {
 impl Welcome {
     pub(crate) fn read(content: Map) -> Result<Welcome, ClientError> {
         let limits = content.get("limits").and_then(Value::as_map);
+        let version = content.get("protocol").and_then(Value::as_map);
+        let minor = version.and_then(|version| number(version, "minor"));
         Ok(Welcome {
             peer: text(&content, "peer")
                 .ok_or_else(|| bad_reply("peer"))?
@@ -42,6 +49,7 @@ impl Welcome {
             level: level(&content, "level").unwrap_or_default(),
             limits: PeerLimits::read(limits),
             compression: text(&content, "compress").and_then(Compression::of),
+            takes_cards: minor.is_some_and(|minor| minor >= CARDS),
             content,
         })
     }

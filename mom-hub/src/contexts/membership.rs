@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use mom_proto::event;
-use mom_proto::{ContextNumber, Path, Thinning};
+use mom_proto::{Card, Code, ContextNumber, Path, Thinning, Value, WireError};
 
 use crate::tree::context::Context;
 use crate::tree::installation::Installation;
@@ -15,6 +15,9 @@ use crate::{Effect, Member, PeerId};
 
 /// Contexts that are told to forget their creator in place of one that is left: it is that much cheaper.
 const FORGOTTEN: usize = 16;
+
+/// The most bytes of all cards of one peer: those of 128 full ones, or of some thousand robots of a gateway.
+const MOST_CARDS: usize = 8 << 20;
 
 /// What a peer has in a place that it leaves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,18 +69,56 @@ impl World {
         }
     }
 
-    /// Notes which installation a device is; only the hub looks at that, so no route changes.
-    pub(crate) fn set_installation(
+    /// Notes which installation a device is, and what it can do; only the hub looks at that, so no route changes.
+    pub(crate) fn set_device(
         &mut self,
         number: ContextNumber,
         peer: PeerId,
-        installation: Option<Installation>,
+        (installation, card): (Option<Installation>, Option<Arc<Value>>),
     ) {
         let context = self.tree.get_mut(number);
-        if let Some(member) = context.and_then(|context| context.members.get_mut(&peer))
-            && member.installation != installation
-        {
-            Arc::make_mut(member).installation = installation;
+        let Some(member) = context.and_then(|context| context.members.get_mut(&peer)) else {
+            return self.fault("what a peer says as a device that is not a member");
+        };
+        if member.installation == installation && member.card == card {
+            return;
+        }
+        let size = |card: &Option<Arc<Value>>| card.as_deref().map_or(0, Card::size);
+        let (before, after) = (size(&member.card), size(&card));
+        let member = Arc::make_mut(member);
+        (member.installation, member.card) = (installation, card);
+        if let Some(known) = self.peers.get_mut(peer) {
+            known.card_bytes = known.card_bytes.saturating_sub(before) + after;
+        }
+    }
+
+    /// Whether there is room for a card of a peer in a channel.
+    ///
+    /// # Errors
+    /// `full`.
+    pub(crate) fn check_card(
+        &self,
+        number: ContextNumber,
+        peer: PeerId,
+        card: Option<&Value>,
+    ) -> Result<(), WireError> {
+        let member = self
+            .tree
+            .get(number)
+            .and_then(|context| context.members.get(&peer));
+        let before = member
+            .and_then(|member| member.card.as_deref())
+            .map_or(0, Card::size);
+        let known = self.peers.get(peer).map_or(0, |known| known.card_bytes);
+        let bytes = known.saturating_sub(before) + card.map_or(0, Card::size);
+        match card.is_some() && bytes > MOST_CARDS {
+            true => {
+                let text = format!(
+                    "the cards of one peer have {MOST_CARDS} bytes at most, these would have {bytes}"
+                );
+                Err(WireError::new(Code::FULL, text).slot("content/device/card"))
+            }
+            false => Ok(()),
         }
     }
 
@@ -188,6 +229,9 @@ impl World {
         let dissolves = context.transient && !context.permanent && context.members.is_empty();
         if let Some(known) = self.peers.get_mut(peer) {
             known.left(number);
+            known.card_bytes = known
+                .card_bytes
+                .saturating_sub(member.card.as_deref().map_or(0, Card::size));
         }
         self.changed.insert(number);
         self.push_presence(number, event::LEFT, &member.facts, out);

@@ -2,10 +2,11 @@
 
 use std::collections::BTreeSet;
 
-use mom_proto::{ContextNumber, Fence};
+use mom_proto::{Card, ContextNumber, Fence};
 
 use crate::token::state::Token;
 use crate::tree::context::Context;
+use crate::tree::peers::Peer;
 use crate::world::Timer;
 use crate::{Hub, PeerId};
 
@@ -49,6 +50,7 @@ impl Hub {
                     peer.facts.name
                 );
             }
+            self.check_cards(id, peer);
             for number in &peer.joined {
                 let context = self.world.tree.get(*number).expect("a joined context exists");
                 assert!(
@@ -94,6 +96,20 @@ impl Hub {
         assert!(
             self.world.stirred.is_empty() && self.world.to_ask.is_empty(),
             "queues that were stirred were looked at"
+        );
+    }
+
+    /// The room of a peer's cards is counted.
+    fn check_cards(&self, id: PeerId, peer: &Peer) {
+        let cards = peer.joined.iter().filter_map(|number| {
+            let member = self.world.tree.get(*number)?.members.get(&id)?;
+            member.card.as_deref().map(Card::size)
+        });
+        assert_eq!(
+            cards.sum::<usize>(),
+            peer.card_bytes,
+            "the room of the cards of {} is counted",
+            peer.facts.name
         );
     }
 

@@ -38,11 +38,12 @@ impl DeviceWord {
                 return Err(bad("content/device", "device must be a boolean or a map"));
             }
         };
-        let is_known = |key: &str| [STOP, "stopped"].contains(&key) || installation::KEYS.contains(&key);
+        let is_known =
+            |key: &str| [STOP, "stopped", "card"].contains(&key) || installation::KEYS.contains(&key);
         if let Some((key, _)) = map.iter().find(|(key, _)| !is_known(key)) {
             return Err(bad(
                 &format!("content/device/{key}"),
-                "device may have only the keys stop, stopped, installation and begun",
+                "device may have only the keys stop, stopped, installation, begun and card",
             ));
         }
         let number = match map.get(STOP) {

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use mom_managers::{Answer, PeerFacts, Rate};
-use mom_proto::{Map, Micros, Thinning, event};
+use mom_proto::{Map, Micros, Thinning, Value, event};
 
 use super::installation::Installation;
 use crate::PeerId;
@@ -24,6 +24,8 @@ pub struct Member {
     pub device: bool,
     /// Which one, if it says so.
     pub(crate) installation: Option<Installation>,
+    /// What it can do, if it says so.
+    pub(crate) card: Option<Arc<Value>>,
     standing: Vec<StandingVerdict>,
     // An earlier message waits for a verdict, so later ones have to come to the hub too and wait behind it.
     held: bool,
@@ -61,6 +63,7 @@ impl Member {
             thinning: Thinning::default(),
             device: false,
             installation: None,
+            card: None,
             standing: Vec::new(),
             held: false,
         }
@@ -72,6 +75,7 @@ impl Member {
             thinning: self.thinning,
             device: self.device,
             installation: self.installation.clone(),
+            card: self.card.clone(),
             held: self.held,
             ..Member::new(self.peer, facts)
         }
@@ -151,6 +155,7 @@ impl Member {
             thinning: self.thinning,
             device: self.device,
             installation: self.installation.clone(),
+            card: self.card.clone(),
             standing,
             held: self.held,
         })

@@ -29,6 +29,8 @@ pub(crate) struct Peer {
     pub(crate) joined: BTreeSet<ContextNumber>,
     /// Channels of these in which it is a device.
     pub(crate) moves_in: BTreeSet<ContextNumber>,
+    /// Bytes of its cards there.
+    pub(crate) card_bytes: usize,
     pub(crate) owns: BTreeSet<ContextNumber>,
     /// Tokens that it waits for, asks for, is offered, has lent, or holds together with others.
     pub(crate) involved: BTreeSet<ContextNumber>,
@@ -45,6 +47,7 @@ impl Peer {
             facts,
             joined: BTreeSet::new(),
             moves_in: BTreeSet::new(),
+            card_bytes: 0,
             owns: BTreeSet::new(),
             involved: BTreeSet::new(),
             clock: None,

@@ -2,17 +2,31 @@
 
 use mom_managers::Expiry;
 use mom_proto::Map;
+use serde::Deserialize;
 
 use super::checks::Request;
-use crate::Effect;
 use crate::asking::refusal::Refusal;
+use crate::content;
 use crate::ownership::{describe_owner, describe_waiting, lease_value};
-use crate::tree::context::{Presence, Role};
+use crate::tree::context::{Context, Presence, Role};
 use crate::values::count;
 use crate::world::World;
+use crate::{Effect, Member};
+
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Args {
+    /// Of a channel: the card of its device.
+    #[serde(default)]
+    card: bool,
+    /// Of which device, where there are several.
+    #[serde(default)]
+    device: Option<String>,
+}
 
 pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) -> Result<(), Refusal> {
     let number = world.allowed(request)?;
+    let args: Args = content::read_or_default(&request.parcel)?;
     let Some(context) = world.tree.get(number) else {
         return Err(world
             .faulted("a manager allowed a verb on a context that does not exist")
@@ -57,6 +71,9 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
                 info.set("guard", guard.describe(Map::new()));
             }
             info.set("stop", world.stops.latch(&context.path).describe());
+            if args.card {
+                describe_card(context, args.device.as_deref(), &mut info);
+            }
         }
         Role::Token(token) => {
             info.set("lease", lease_value(token));
@@ -74,6 +91,22 @@ pub(crate) fn on(world: &mut World, request: &Request, out: &mut Vec<Effect>) ->
     }
     request.push_ok(world, Some(info), out);
     Ok(())
+}
+
+/// The card of a channel's device, the first of those that have one, and whose it is.
+fn describe_card(context: &Context, device: Option<&str>, info: &mut Map) {
+    let is_meant = |member: &Member| device.is_none_or(|device| *member.facts.name == *device);
+    let devices = context
+        .members
+        .values()
+        .filter(|member| member.device && is_meant(member));
+    let card = devices
+        .filter_map(|member| Some((member, member.card.as_deref()?)))
+        .next();
+    if let Some((member, card)) = card {
+        info.set("device", &*member.facts.name);
+        info.set("card", card.clone());
+    }
 }
 
 fn presence_word(presence: Presence) -> &'static str {

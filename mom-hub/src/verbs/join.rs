@@ -1,7 +1,11 @@
 //! `context join`: entered through its parent (M23). Joining again is answered, and changes only what the member is
 //! to be spared and whether it is a device, if the content says so.
 
-use mom_proto::{Code, ContextNumber, Fence, Map, MessageRate, Overflow, Thinning, Value, Verb, WireError};
+use std::sync::Arc;
+
+use mom_proto::{
+    Card, Code, ContextNumber, Fence, Map, MessageRate, Overflow, Thinning, Value, Verb, WireError,
+};
 use serde::Deserialize;
 
 use super::checks::Request;
@@ -55,6 +59,8 @@ pub(crate) fn on(
         world.ask(request.peer, &Wish::new(Verb::Device, number), &request.answers)?;
         let installation = terms.as_ref().and_then(|terms| terms.installation.as_ref());
         displaced = world.displaced(number, request.peer, installation)?;
+        let card = terms.as_ref().and_then(|terms| terms.card.as_deref());
+        world.check_card(number, request.peer, card)?;
     }
     let is_member = world.tree.is_member(request.peer, number);
     if !is_member {
@@ -75,7 +81,7 @@ pub(crate) fn on(
     let is_new = !world.is_device(request.peer, number);
     if let Some(terms) = terms {
         world.set_terms(number, request.peer, terms.thinning, device.is_some());
-        world.set_installation(number, request.peer, terms.installation);
+        world.set_device(number, request.peer, (terms.installation, terms.card));
     }
     if let Some(word) = device {
         world.meet_device(number, request.peer, (word, is_new), out);
@@ -156,6 +162,7 @@ struct Terms {
     thinning: Thinning,
     device: Option<DeviceWord>,
     installation: Option<Installation>,
+    card: Option<Arc<Value>>,
 }
 
 /// What the peer asks to be spared, and what it says as a device; none if it says nothing of that.
@@ -170,10 +177,12 @@ fn terms(world: &World, request: &Request, number: ContextNumber) -> Result<Opti
         .get(number)
         .is_some_and(|context| context.channel().is_some());
     let device = args.device.as_ref().map(DeviceWord::read).transpose()?.flatten();
-    let mut installation = None;
+    let (mut installation, mut card) = (None, None);
     if let (Some(word), Some(said)) = (&device, &args.device) {
         word.check(world.settings.epoch)?;
         installation = Installation::read(said)?;
+        card = said.as_map().and_then(|map| map.get("card"));
+        card.map(Card::read).transpose()?;
     }
     if (thinning.thins() || device.is_some()) && !is_channel {
         let text = format!(
@@ -186,5 +195,6 @@ fn terms(world: &World, request: &Request, number: ContextNumber) -> Result<Opti
         thinning,
         device,
         installation,
+        card: card.cloned().map(Arc::new),
     }))
 }

@@ -2,6 +2,7 @@
 
 mod again;
 mod asked;
+mod cards;
 mod durable;
 mod facts;
 mod handed_back;
