@@ -6,9 +6,11 @@ use std::time::Duration;
 use mom_brs::Table;
 use mom_brs::file::EXTENDED;
 use mom_client::{Channel, Client, ClientError, Path};
-use mom_device::COMMAND;
+use mom_device::{COMMAND, card};
 use mom_wheeled::{ensure_session, enter};
 use tokio::time::timeout;
+
+use crate::Unit;
 
 /// Robots of one connection. Each of them has its peer join a session, a token and a channel, and a peer joins 1024 contexts, unless
 /// the hub's file says otherwise.
@@ -103,7 +105,8 @@ impl RobotSite {
         }
         let path = format!("{}/{unit}", options.session);
         let token = options.token(*unit, group.as_deref());
-        let enter = || enter(client, &path, &token, options.manager.as_deref());
+        let card = card(&Unit::new(*unit, options.table));
+        let enter = || enter(client, &path, &token, options.manager.as_deref(), &card);
         let channel = enter().await?;
         if is_guarded(&channel, &token) {
             return Ok(channel);

@@ -4,8 +4,10 @@ use std::future::Future;
 use std::pin::{Pin, pin};
 use std::time::Duration;
 
-use mom_client::{Boxed, Channel, Client, ClientError, Delivery, Event, Family, Parcel, Path, Value};
-use mom_device::{DevicePeer, Machine as _, Outlet, State, instant_of, sender, sleep_or_wait, time_since};
+use mom_client::{Boxed, Card, Channel, Client, ClientError, Delivery, Event, Family, Parcel, Path, Value};
+use mom_device::{
+    DevicePeer, Machine as _, Outlet, State, card, instant_of, sender, sleep_or_wait, time_since,
+};
 use mom_wheeled::{Rover, StatusTeller, come_back, ensure_session, enter, enter_status, stand, stay};
 use mom_wheels::pilot::Point;
 use tokio::sync::mpsc;
@@ -91,7 +93,8 @@ async fn live(
     begin: Instant,
     mut shutdown: Pin<&mut impl Future<Output = ()>>,
 ) -> Result<(), ClientError> {
-    let mut channel = enter_robot(client, options).await?;
+    let card = card(rover);
+    let mut channel = enter_robot(client, options, &card).await?;
     // The contexts that it speaks to, and hears, stay joined for as long as these live.
     let mut joined = JoinSet::new();
     let (hand, mut hear) = mpsc::channel(MOST_POSES);
@@ -135,7 +138,7 @@ async fn live(
             why,
             "the robot could not join its channel as a device; it stands until it has joined"
         );
-        let back = come_back(|| enter_robot(client, options));
+        let back = come_back(|| enter_robot(client, options, &card));
         let mut back = pin!(back);
         channel = loop {
             let wake = rover.next_wake().map(|due| instant_of(begin, due));
@@ -211,13 +214,13 @@ async fn obey(
 }
 
 /// Makes what is missing of the robot's own contexts, and joins its channel as its device.
-async fn enter_robot(client: &Client, options: &RoverOptions) -> Result<Channel, ClientError> {
+async fn enter_robot(client: &Client, options: &RoverOptions, card: &Card) -> Result<Channel, ClientError> {
     let above = options.above();
     if !above.is_empty() {
         ensure_session(client, above).await?;
     }
     let token = format!("{}/token", options.path);
-    enter(client, &options.path, &token, options.manager.as_deref()).await
+    enter(client, &options.path, &token, options.manager.as_deref(), card).await
 }
 
 /// Who makes a channel beside its own.

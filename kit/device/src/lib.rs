@@ -6,6 +6,7 @@
 //! decides how they are answered, and [`DevicePeer`] connects it to the hub.
 
 mod back;
+mod carded;
 mod clock;
 mod command;
 mod contexts;
@@ -24,11 +25,12 @@ mod server;
 mod words;
 
 pub use back::{come_back, stay};
+pub use carded::{Carded, check_by_card};
 pub use clock::{instant_of, sleep_or_wait, time_since};
 pub use command::{Command, Order, Progress, QueueEvent, State};
 pub use contexts::{ensure, ensure_above, ensure_guarded, ensure_session, is_missing};
 pub use error::{DeviceError, ErrorName};
-pub use machine::{Machine, STATE_PERIOD};
+pub use machine::{Machine, STATE_PERIOD, card};
 pub use outlet::{Outlet, Sending, sender};
 pub use queue::{CommandQueue, MAX_WAITING};
 pub use rest::{AtRest, REST, Rest, Sample};

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use mom_client::Map;
+use mom_client::{Card, Map};
 
 use crate::{Attachments, DeviceError, DeviceTime, Sample, Script, Word, Words};
 
@@ -34,6 +34,10 @@ pub trait Machine: fmt::Debug {
 
     /// The numbers of its position differ by less than this, each in its unit, while it rests.
     const TOLERANCE: f64 = 1.0;
+
+    /// What it can do, and what it tells of itself: its statements are those of [`Machine::VERBS`]. [`card`](crate::card) adds what every
+    /// device has.
+    fn card(&self) -> Card;
 
     /// Reads what follows the verb of a statement; `None` if there is no such verb.
     ///
@@ -151,5 +155,15 @@ pub trait Machine: fmt::Debug {
     /// What else stands in the state.
     fn report(&self) -> Map {
         Map::new()
+    }
+}
+
+/// The card of a device, with how soon it stands; it joins its channel with that
+/// ([`Client::channel_with_card`](mom_client::Client::channel_with_card)).
+#[must_use]
+pub fn card<M: Machine>(machine: &M) -> Card {
+    Card {
+        stops_within: u32::try_from(M::STOPPING_TIME / 1000).ok(),
+        ..machine.card()
     }
 }

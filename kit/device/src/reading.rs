@@ -1,10 +1,8 @@
 //! Reading scripts in the language of a machine.
 
-use crate::script::WAIT;
+use crate::script::{WAIT, check_length, check_number};
 use crate::words::{Words, split};
-use crate::{
-    Attachments, DeviceError, MAX_BYTES, MAX_STATEMENTS, MAX_WAIT, Machine, Script, Statement, Word,
-};
+use crate::{Attachments, DeviceError, MAX_WAIT, Machine, Script, Statement, Word};
 
 impl<A> Script<A> {
     /// Whether its first motion says only how far it goes from where the device is then, so that it is wrong from anywhere else
@@ -44,19 +42,11 @@ impl<A> Script<A> {
     }
 
     fn statements_of<M: Machine<Action = A>>(text: &str) -> Result<Self, DeviceError> {
-        if text.len() > MAX_BYTES {
-            let length = text.len();
-            let text = format!("the script has {length} bytes, at most {MAX_BYTES} are read");
-            return Err(DeviceError::syntax(MAX_BYTES, text));
-        }
+        check_length(text)?;
         let mut statements = Vec::new();
         for mut words in split(text) {
             let Some(verb) = words.next() else { continue };
-            let number = u32::try_from(statements.len() + 1).unwrap_or(u32::MAX);
-            if statements.len() == MAX_STATEMENTS {
-                let text = format!("the script has more than {MAX_STATEMENTS} statements");
-                return Err(DeviceError::syntax(verb.at, text));
-            }
+            let number = check_number(statements.len(), verb.at)?;
             let statement = statement::<M>(verb, &mut words);
             statements.push(statement.map_err(|error| error.at_statement(number))?);
         }
@@ -78,8 +68,13 @@ fn statement<M: Machine>(verb: Word<'_>, words: &mut Words<'_>) -> Result<Statem
             None => return Err(unknown::<M>(verb)),
         },
     };
+    ends(verb, words).map(|()| statement)
+}
+
+/// That nothing follows a statement.
+pub(crate) fn ends(verb: Word<'_>, words: &mut Words<'_>) -> Result<(), DeviceError> {
     match words.next() {
-        None => Ok(statement),
+        None => Ok(()),
         Some(word) => {
             let (verb, short) = (verb.text, word.short());
             let text = format!("`{verb}` ends before `{short}`; is a `;` or a new line missing?");
@@ -88,7 +83,7 @@ fn statement<M: Machine>(verb: Word<'_>, words: &mut Words<'_>) -> Result<Statem
     }
 }
 
-fn wait(words: &mut Words<'_>) -> Result<u32, DeviceError> {
+pub(crate) fn wait(words: &mut Words<'_>) -> Result<u32, DeviceError> {
     let word = words.need(WAIT, "a time in ms", "it")?;
     let ms = word.text.parse().ok().filter(|ms| *ms <= MAX_WAIT);
     ms.ok_or_else(|| {

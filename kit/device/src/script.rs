@@ -19,6 +19,29 @@ pub const MAX_WAIT: u32 = 60_000;
 
 pub(crate) const WAIT: &str = "wait";
 
+/// That a script is not too long to be read.
+pub(crate) fn check_length(text: &str) -> Result<(), DeviceError> {
+    let length = text.len();
+    match length > MAX_BYTES {
+        true => {
+            let text = format!("the script has {length} bytes, at most {MAX_BYTES} are read");
+            Err(DeviceError::syntax(MAX_BYTES, text))
+        }
+        false => Ok(()),
+    }
+}
+
+/// The number of the statement behind so many others, which begins there.
+pub(crate) fn check_number(before: usize, at: usize) -> Result<u32, DeviceError> {
+    match before < MAX_STATEMENTS {
+        true => Ok(u32::try_from(before + 1).unwrap_or(u32::MAX)),
+        false => {
+            let text = format!("the script has more than {MAX_STATEMENTS} statements");
+            Err(DeviceError::syntax(at, text))
+        }
+    }
+}
+
 /// Bytes that come with a script, by the names that its statements use, such as sounds and pictures. Statements share them.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Attachments(BTreeMap<String, Arc<[u8]>>);

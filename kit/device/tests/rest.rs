@@ -1,6 +1,6 @@
 //! Rest is measured: by a cart that rolls on after a halt, watched by its place and not by its words.
 
-use mom_client::{Map, Value};
+use mom_client::{Card, CardVerb, Map, Value};
 use mom_device::{
     AtRest, Command, CommandQueue, DeviceError, DeviceTime, ErrorName, Machine, Order, QueueEvent, Script,
     State, Word, Words,
@@ -33,6 +33,10 @@ impl Machine for Cart {
     const NAME: &str = "the cart";
     const VERBS: &[&str] = &["go"];
     const STOPPING_TIME: DeviceTime = 500_000;
+
+    fn card(&self) -> Card {
+        Card::new("cart", "").verbs([CardVerb::motion("go", "")])
+    }
 
     fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<f64, DeviceError>> {
         (verb.text == "go").then(|| words.number(verb.text, "a speed, mm/s", "speed"))

@@ -3,6 +3,7 @@
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
+use mom_client::{Card, CardArg, CardType, CardVerb, FieldType};
 use mom_device::{DeviceError, Word, Words};
 
 /// Coordinates of points, mm: what five characters of the fleet's wire hold (W3).
@@ -64,6 +65,38 @@ impl Action {
         "clear",
     ];
 
+    /// Its statements as others see them.
+    #[must_use]
+    pub fn verbs() -> [CardVerb; 5] {
+        let within = |arg: CardArg, range: &RangeInclusive<i32>| {
+            arg.within(f64::from(*range.start())..=f64::from(*range.end()))
+        };
+        let place = || ["x", "y"].map(|name| within(CardArg::whole(name, "mm"), &PLACES));
+        let motor = |name| CardArg::whole(name, "‰").within(-1000.0..=1000.0);
+        let lasting = CardArg::whole("ms", "ms").within(1.0..=f64::from(LONGEST));
+        let follow = CardVerb {
+            last: true,
+            ..CardVerb::motion("follow", "Drives where a peer drove, until the next command")
+        };
+        [
+            CardVerb::motion("motor", "Sets the motors for a time").args([
+                motor("left"),
+                motor("right"),
+                lasting,
+            ]),
+            CardVerb::new("leds", "Sets the LEDs, a bit each")
+                .args([CardArg::whole("data", "").within(0.0..=255.0)]),
+            CardVerb::motion("goto", "Drives to a place").args(place()),
+            CardVerb::motion("via", "Drives to the last of these places by way of the others")
+                .args(place())
+                .repeating(2),
+            follow.args([
+                CardArg::new("leader", CardType::Word),
+                within(CardArg::whole("distance", "mm"), &DISTANCES),
+            ]),
+        ]
+    }
+
     /// Reads what follows a verb; `None` if there is no such verb.
     ///
     /// # Errors
@@ -81,6 +114,27 @@ impl Action {
             _ => return None,
         })
     }
+}
+
+/// The card of a robot on wheels, without its statements.
+#[must_use]
+pub fn card_of(does: &str) -> Card {
+    Card::new("robot", does)
+        .measures("x", "mm", "Where it is")
+        .measures("y", "mm", "Where it is")
+        .measures("heading", "°", "Where it faces")
+        .measures("battery", "%", "What is left in the battery")
+        .tells("leds", FieldType::Whole, "The LEDs, a bit each")
+        .tells(
+            "switches",
+            FieldType::Whole,
+            "The switches that are pressed, a bit each",
+        )
+        .tells(
+            "charging",
+            FieldType::Boolean,
+            "Whether the battery is being charged",
+        )
 }
 
 fn motor(words: &mut Words<'_>) -> Result<Action, DeviceError> {
@@ -131,6 +185,9 @@ mod tests {
         const NAME: &str = "the robot";
         const VERBS: &[&str] = Action::VERBS;
 
+        fn card(&self) -> Card {
+            Card::new("robot", "").verbs(Action::verbs())
+        }
         fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Action, DeviceError>> {
             Action::read(verb, words)
         }

@@ -13,7 +13,7 @@ mod model;
 mod stand;
 mod status;
 
-pub use action::{Action, PLACES};
+pub use action::{Action, PLACES, card_of};
 pub use contexts::{enter, enter_status};
 pub use follow::{Follower, LIMIT, Strayed};
 pub use machine::Rover;

@@ -3,11 +3,12 @@
 use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use mom_client::{Age, Map};
+use mom_client::{Age, Card, Map};
 use mom_device::{DeviceError, DeviceTime, ErrorName, Machine, Script, Word, Words};
 use mom_wheels::pilot::{HOLD, PERIOD, Point};
 use mom_wheels::{Chassis, Driver, DriverError, Fault, GiveUp, Motors, Parts, Pilot, PilotEnd, Sensors};
 
+use crate::action::card_of;
 use crate::{Action, Follower};
 
 #[cfg(test)]
@@ -341,6 +342,10 @@ impl Machine for Rover {
     const PATIENCE: DeviceTime = HOLD;
     // It tells whole mm and degrees.
     const TOLERANCE: f64 = 2.0;
+
+    fn card(&self) -> Card {
+        card_of("A robot on two wheels").verbs(Action::verbs())
+    }
 
     fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Action, DeviceError>> {
         Action::read(verb, words)

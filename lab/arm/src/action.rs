@@ -2,11 +2,13 @@
 
 use std::fmt;
 
+use mom_client::{CardArg, CardVerb};
 use mom_device::{DeviceError, Word, Words};
 
 use crate::controller::Grip;
 use crate::jog::{self, Velocity};
 use crate::pose::{HOME, Pose};
+use crate::workspace::WORKSPACE;
 
 /// What a statement makes the arm do.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -30,6 +32,46 @@ pub(crate) const VERBS: &[&str] = &["move", "by", "grip", "jog", "home", "reset"
 const GRIPS: [&str; 2] = ["open", "close"];
 
 impl Action {
+    /// Its statements as others see them.
+    pub(crate) fn verbs() -> [CardVerb; 6] {
+        let lengths = |names: [&str; 3], unit: &str| names.map(|name| CardArg::number(name, unit));
+        let turns = |names: [&str; 2], unit: &str| names.map(|name| CardArg::number(name, unit));
+        let (x, y, z) = (&WORKSPACE.x, &WORKSPACE.y, &WORKSPACE.z);
+        let place = [("x", x), ("y", y), ("z", z)]
+            .map(|(name, range)| CardArg::number(name, "mm").within(range.clone()));
+        let lean = [("spin", &WORKSPACE.spin), ("tilt", &WORKSPACE.tilt)]
+            .map(|(name, range)| CardArg::number(name, "°").within(range.clone()));
+        let by = CardVerb {
+            relative: true,
+            ..CardVerb::motion("by", "Moves the hand by so much from where it is")
+        };
+        let jog = CardVerb {
+            velocity: true,
+            ..CardVerb::motion("jog", "Moves the hand at a velocity; another one takes its place")
+        };
+        let grip = CardVerb {
+            in_place: true,
+            ..CardVerb::motion("grip", "Moves the jaws")
+        };
+        let lasting = CardArg::whole("ms", "ms").within(1.0..=f64::from(jog::MOST_MS));
+        [
+            CardVerb::motion("move", "Moves the hand to a pose")
+                .args(place)
+                .args(lean),
+            by.args(lengths(["dx", "dy", "dz"], "mm"))
+                .args(turns(["dspin", "dtilt"], "°")),
+            grip.args([CardArg::one_of("grip", &GRIPS)]),
+            jog.args(lengths(["vx", "vy", "vz"], "mm/s"))
+                .args(turns(["vspin", "vtilt"], "°/s"))
+                .args([lasting.or(i64::from(jog::DEFAULT_MS))]),
+            CardVerb::motion("home", "Moves the hand to where it is at the start"),
+            CardVerb::motion(
+                "reset",
+                "Puts hand, jaws and blocks back, at once: this arm is simulated",
+            ),
+        ]
+    }
+
     /// Reads what follows a verb; none if there is no such verb.
     pub(crate) fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Self, DeviceError>> {
         let mut pose = |takes, [x, y, z, spin, tilt]: [&str; 5]| {

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use mom_client::{Map, Value};
+use mom_client::{Card, FieldType, Map, Value};
 use mom_device::{DeviceError, ErrorName, Machine, Sample, Word, Words};
 
 use crate::action::{self, Action};
@@ -244,6 +244,19 @@ impl Machine for ArmMachine {
     const VERBS: &[&str] = action::VERBS;
     const TOLERANCE: f64 = 0.5;
     const COMPLETES: bool = true;
+
+    fn card(&self) -> Card {
+        Card::new("arm", "A robot arm with jaws")
+            .verbs(Action::verbs())
+            .measures("pose.x", "mm", "Where the hand is: to the right")
+            .measures("pose.y", "mm", "Where the hand is: forwards")
+            .measures("pose.z", "mm", "Where the hand is: upwards")
+            .measures("pose.spin", "°", "How far the hand is turned about the vertical")
+            .measures("pose.tilt", "°", "How far the hand leans")
+            .tells("gripper.grip", FieldType::Word, "What the jaws were told last")
+            .measures("gripper.opening", "mm", "How far the jaws are open")
+            .tells("holding", FieldType::Word, "The block in the jaws")
+    }
 
     fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Action, DeviceError>> {
         Action::read(verb, words)

@@ -5,10 +5,10 @@ use std::future::{Future, pending};
 use std::pin::{Pin, pin};
 use std::time::Duration;
 
-use mom_client::{Boxed, Channel, Client, ClientError, Code, Consult, Event, LinkState, WireError};
+use mom_client::{Boxed, Card, Channel, Client, ClientError, Code, Consult, Event, LinkState, WireError};
 use mom_device::{
-    DevicePeer, DeviceTime, Happening, Machine as _, come_back, ensure_above, ensure_guarded, instant_of,
-    is_missing, sleep_or_wait, time_since,
+    DevicePeer, DeviceTime, Happening, Machine as _, card, come_back, ensure_above, ensure_guarded,
+    instant_of, is_missing, sleep_or_wait, time_since,
 };
 use tokio::time::Instant;
 
@@ -71,8 +71,8 @@ impl ArmOptions {
     }
 
     /// Joins its channel as its device, and the zones.
-    async fn enter(&self, client: &Client) -> Result<Entered, ClientError> {
-        let channel = self.enter_channel(client).await?;
+    async fn enter(&self, client: &Client, card: &Card) -> Result<Entered, ClientError> {
+        let channel = self.enter_channel(client, card).await?;
         let zones = match &self.zones {
             Some(session) => Some(ZoneWatch::join(client, session).await?),
             None => None,
@@ -81,8 +81,8 @@ impl ArmOptions {
     }
 
     /// Joins its channel as its device, after the arm has made what is missing of its contexts.
-    async fn enter_channel(&self, client: &Client) -> Result<Channel, ClientError> {
-        match client.channel_as_device(&self.channel).await {
+    async fn enter_channel(&self, client: &Client, card: &Card) -> Result<Channel, ClientError> {
+        match client.channel_with_card(&self.channel, card).await {
             Err(error) if is_missing(&error) => {}
             entered => return entered,
         }
@@ -94,7 +94,7 @@ impl ArmOptions {
         ensure_above(client, &token).await?;
         ensure_above(client, &self.channel).await?;
         ensure_guarded(client, &self.channel, &token, self.manager.as_deref()).await?;
-        client.channel_as_device(&self.channel).await
+        client.channel_with_card(&self.channel, card).await
     }
 
     /// Lets the arm come to its rest while it has no channel.
@@ -181,7 +181,8 @@ async fn live(
     begin: Instant,
     mut shutdown: Pin<&mut impl Future<Output = ()>>,
 ) -> Result<(), ClientError> {
-    let mut entered = options.enter(client).await?;
+    let card = card(&arm);
+    let mut entered = options.enter(client, &card).await?;
     loop {
         let (left, ended) = obey(client, entered, options, arm, begin, shutdown.as_mut()).await;
         arm = left;
@@ -194,7 +195,7 @@ async fn live(
         }
         entered = tokio::select! {
             () = &mut shutdown => return Ok(()),
-            entered = come_back(|| options.enter(client)) => entered?,
+            entered = come_back(|| options.enter(client, &card)) => entered?,
             never = options.rest(&mut arm, begin) => match never {},
         };
     }

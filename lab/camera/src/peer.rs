@@ -6,7 +6,7 @@ use std::pin::pin;
 use std::time::Duration;
 
 use mom_client::{Boxed, Channel, Client, ClientError, Code, Event, LinkState, Map, Path, Token, WireError};
-use mom_device::{ensure, ensure_above, ensure_guarded, is_missing};
+use mom_device::{card, ensure, ensure_above, ensure_guarded, is_missing};
 use mom_program::work::{done, send, users, wall};
 use mom_trace::Trace;
 use tokio::sync::watch::Receiver;
@@ -129,7 +129,10 @@ impl CameraOptions {
     async fn join(&self, client: &Client) -> Result<Channel, ClientError> {
         match self.view {
             // It obeys stops, and is waited for.
-            View::Pan => client.channel_as_device(&self.channel).await,
+            View::Pan => {
+                let card = card(&Mount::default());
+                client.channel_with_card(&self.channel, &card).await
+            }
             _ => client.channel(&self.channel).await,
         }
     }

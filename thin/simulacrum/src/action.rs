@@ -2,8 +2,12 @@
 
 use std::sync::Arc;
 
+use mom_client::{CardArg, CardType, CardVerb};
 use mom_device::{Attachments, DeviceError, Word, Words};
+use mom_rsp_model::Model;
 
+/// The most elements whose names a card lists.
+const MOST_NAMED: usize = 100;
 /// The longest time for which one statement sets an effector, ms.
 const LONGEST: i32 = 60_000;
 const PLAY: &str = "an effector, the sound's name, and maybe `on`: play speaker hello";
@@ -117,6 +121,48 @@ const fn joined() -> [&'static str; WHEELS.len() + MODELS.len()] {
 impl Action {
     /// The verbs: those of wheeled robots, and those of models.
     pub const VERBS: &[&str] = &joined();
+
+    /// The statements of a model as others see them; which elements each is for is checked by the model.
+    pub(crate) fn verbs_of_models(model: &Model) -> [CardVerb; 9] {
+        let names: Vec<&str> = model.elements().iter().map(|element| &*element.name).collect();
+        // A card has its bounds.
+        let names = if names.len() <= MOST_NAMED {
+            &names[..]
+        } else {
+            &[]
+        };
+        let element = || CardArg::one_of("element", names);
+        // Or a module.
+        let part = || CardArg::new("part", CardType::Word);
+        let value = || CardArg::new("value", CardType::Number);
+        let attached = || CardArg::new("name", CardType::Attachment);
+        let periods = f64::from(*mom_rsp::PERIODS.start())..=f64::from(*mom_rsp::PERIODS.end());
+        [
+            // The values of an element and `for` with a time stand among the words.
+            CardVerb::motion(
+                "set",
+                "Sets effectors: an element and its values, and maybe `for` and ms",
+            )
+            .args([element(), CardArg::new("value", CardType::Word)])
+            .repeating(1),
+            CardVerb::motion("do", "Has a command executed once")
+                .args([element(), value()])
+                .repeating(1),
+            CardVerb::new("play", "Plays a WAV file").args([
+                element(),
+                attached(),
+                CardArg::one_of("beside", &["on"]).or(""),
+            ]),
+            CardVerb::new("show", "Hands bytes to an effector, such as a picture")
+                .args([element(), attached()]),
+            CardVerb::new("activate", "Activates an element or a module").args([part()]),
+            CardVerb::new("deactivate", "Deactivates an element or a module").args([part()]),
+            CardVerb::new("ask", "Has a sensor or monitor say its value now").args([element()]),
+            CardVerb::new("period", "Sets the time between two packets")
+                .args([CardArg::whole("ms", "ms").within(periods)]),
+            CardVerb::new("clear", "Has the robot clear its buffers of memory events"),
+        ]
+    }
 
     /// Reads what follows a verb; `None` if there is no such verb.
     ///

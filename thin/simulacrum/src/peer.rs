@@ -6,9 +6,9 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use mom_client::{
-    Boxed, Channel, Client, ClientError, Delivery, Event, Events, Family, Map, Parcel, Time, Value,
+    Boxed, Card, Channel, Client, ClientError, Delivery, Event, Events, Family, Map, Parcel, Time, Value,
 };
-use mom_device::{DevicePeer, Machine as _, Outlet, State, sender, time_since};
+use mom_device::{DevicePeer, Machine as _, Outlet, State, card, sender, time_since};
 use mom_rsp::Kind;
 use mom_rsp::middle::Notice;
 use mom_wheeled::{StatusTeller, come_back, ensure_session, enter, enter_status};
@@ -77,6 +77,7 @@ async fn run_until(
             line,
             options: options.clone(),
             begin,
+            card: card(&machine),
         };
         let robot = Robot::enter(&site, machine).await?;
         robots.spawn(live(site, robot, stopping.clone()));
@@ -137,6 +138,7 @@ struct RobotSite {
     options: SimulacrumOptions,
     /// When the time of its machine began.
     begin: Instant,
+    card: Card,
 }
 
 impl RobotSite {
@@ -147,7 +149,14 @@ impl RobotSite {
             ensure_session(&self.client, above).await?;
         }
         let token = format!("{path}/token");
-        enter(&self.client, path, &token, self.options.manager.as_deref()).await
+        enter(
+            &self.client,
+            path,
+            &token,
+            self.options.manager.as_deref(),
+            &self.card,
+        )
+        .await
     }
 
     /// Keeps the robot standing until its channels are back; none if the program stops before.

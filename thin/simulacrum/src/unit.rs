@@ -1,6 +1,6 @@
 //! A mirrored robot as a machine of the hub: its owner commands it in the terms of its model.
 
-use mom_client::Map;
+use mom_client::{Card, Map};
 use mom_device::{Attachments, DeviceError, DeviceTime, ErrorName, Machine, Sample, Script, Word, Words};
 use mom_rsp::middle::Notice;
 use mom_rsp::{Kind, Motion, Refused};
@@ -371,6 +371,16 @@ impl Machine for Mirror {
     // As its wheels; the robot's watchdog does not wait for longer.
     const PATIENCE: DeviceTime = HOLD;
     const TOLERANCE: f64 = TOLERANCE;
+
+    fn card(&self) -> Card {
+        let wheels = self.rover.as_ref().map(Machine::card);
+        let card = wheels.unwrap_or_else(|| Card::new("robot", ""));
+        let does = "A robot that is mirrored here by its model".to_owned();
+        Card { does, ..card }
+            .verbs(Action::verbs_of_models(self.robot.model()))
+            .measures("loss", "", "The share of packets that are lost")
+            .measures("round-trip", "µs", "The round trip to the robot")
+    }
 
     fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Action, DeviceError>> {
         Action::read(verb, words)

@@ -12,6 +12,7 @@ use mom_cubo::{Cubo, CuboHandle, End, Touch};
 use mom_device::{
     Attachments, Command, CommandQueue, DeviceServer, ErrorName, MAX_ATTACHED, Machine as _, Order, Script,
 };
+use mom_device_cases::{Stage, Statements, replay};
 use mom_rsp::middle::{Notice, Settings};
 use mom_rsp::{Direction, Header, Item, Items, Type, robot};
 use mom_rsp_model::Model;
@@ -274,32 +275,44 @@ impl Bench {
         } = self;
         let mut speeds = Vec::new();
         machine.advance(i64::try_from(*now).expect("not so late"));
-        body.advance(i64::try_from(*now).expect("not so late"));
-        while let Some(mut datagram) = mirror.with(|middle| middle.poll(*now).map(<[u8]>::to_vec)) {
-            let header = Header::decode(&datagram).expect("a header");
-            if header.kind == Type::Data {
-                let payload = datagram.get(Header::LEN..).unwrap_or_default();
-                let items = Items::parse(&LAYOUT, Direction::Down, payload).expect("a packet");
-                speeds.extend(items.filter_map(|(place, item)| match (place, item) {
-                    (0, Item::Value(value)) => Some(i16::from_be_bytes(value.try_into().expect("two bytes"))),
-                    _ => None,
-                }));
-            }
-            end.receive(*now, &mut datagram, &mut Dispatch(&mut *body))
-                .expect("it is taken");
-        }
-        body.tell(end);
-        let mut out = vec![0; PACKET];
-        while let Some(length) = end.poll(*now, &mut out, &mut Dispatch(&mut *body)) {
-            let datagram = out.get_mut(..length).expect("it was written");
-            mirror
-                .with(|middle| middle.receive(*now, datagram))
-                .expect("it is taken");
-        }
-        while let Some(notice) = mirror.with(mom_rsp::middle::Middle::next_notice) {
-            machine.heard(&notice).expect("nothing is lost");
-        }
+        let hear = |notice| machine.heard(&notice).expect("nothing is lost");
+        exchange((mirror, body, end), *now, hear, |speed| speeds.push(speed));
         speeds
+    }
+}
+
+/// What middle and robot have to say to each other now: what the middle notices of it, and the speeds of the left wheel that leave for the
+/// robot.
+fn exchange(
+    (mirror, body, end): (&Simulacrum, &mut Cubo, &mut End),
+    now: u64,
+    mut hear: impl FnMut(Notice),
+    mut sees: impl FnMut(i16),
+) {
+    body.advance(i64::try_from(now).expect("not so late"));
+    while let Some(mut datagram) = mirror.with(|middle| middle.poll(now).map(<[u8]>::to_vec)) {
+        let header = Header::decode(&datagram).expect("a header");
+        if header.kind == Type::Data {
+            let payload = datagram.get(Header::LEN..).unwrap_or_default();
+            for item in Items::parse(&LAYOUT, Direction::Down, payload).expect("a packet") {
+                if let (0, Item::Value(value)) = item {
+                    sees(i16::from_be_bytes(value.try_into().expect("two bytes")));
+                }
+            }
+        }
+        end.receive(now, &mut datagram, &mut Dispatch(&mut *body))
+            .expect("it is taken");
+    }
+    body.tell(end);
+    let mut out = vec![0; PACKET];
+    while let Some(length) = end.poll(now, &mut out, &mut Dispatch(&mut *body)) {
+        let datagram = out.get_mut(..length).expect("it was written");
+        mirror
+            .with(|middle| middle.receive(now, datagram))
+            .expect("it is taken");
+    }
+    while let Some(notice) = mirror.with(mom_rsp::middle::Middle::next_notice) {
+        hear(notice);
     }
 }
 
@@ -534,4 +547,48 @@ fn statements_share_the_bytes_of_an_attachment() {
     assert_eq!(shown.len(), 1000);
     shown.dedup();
     assert_eq!(shown.len(), 1, "no statement has a copy of its own");
+}
+
+const STATEMENTS: Statements = Statements {
+    go: "goto 3500 2500",
+    back: "goto 2500 2500",
+    wrong: "gogo 1 2",
+    beyond: None,
+    relative: None,
+    velocity: None,
+};
+
+/// The device that the dialogues of every device are replayed by: a mirror with its robot, in virtual time.
+fn stage() -> Stage<Mirror> {
+    let Bench {
+        mirror,
+        machine,
+        mut body,
+        mut end,
+        now,
+    } = Bench::new();
+    let mechanism = move |server: &mut DeviceServer<Mirror>, now: i64, out: &mut Vec<Parcel>| {
+        let mut heard = Vec::new();
+        let time = u64::try_from(now).expect("not before the beginning");
+        exchange(
+            (&mirror, &mut body, &mut end),
+            time,
+            |notice| heard.push(notice),
+            |_| {},
+        );
+        let hear = |machine: &mut Mirror| {
+            heard
+                .iter()
+                .for_each(|notice| machine.heard(notice).expect("nothing is lost"))
+        };
+        server.note(now, hear, out);
+    };
+    let now = i64::try_from(now).expect("not so late");
+    Stage::bare(machine).at(now).driven_by(mechanism)
+}
+
+/// Some are played for each of several events; none may be left out in silence.
+#[test]
+fn a_mirrored_robot_does_what_every_device_does() {
+    assert_eq!(replay(stage, &STATEMENTS), 42);
 }

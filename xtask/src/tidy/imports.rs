@@ -63,6 +63,7 @@ const ARROWS: &[(&str, May)] = &[
         ]),
     ),
     ("mom-device", May::Use(&["mom-client", "mom-nearest"])),
+    ("mom-device-cases", May::Use(&["mom-client", "mom-device"])),
     (
         "mom-arm",
         May::Use(&[

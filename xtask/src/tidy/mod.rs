@@ -5,6 +5,7 @@ mod citations;
 mod codes;
 mod columns;
 mod dependencies;
+mod dialogues;
 mod glossary;
 mod imports;
 mod leftovers;
@@ -66,6 +67,7 @@ const CHECKS: &[(&str, Check)] = &[
     ("name", names::check),
     ("turn", turns::check),
     ("columns", columns::check),
+    ("dialogue", dialogues::check),
 ];
 
 /// Runs all checks on the checkout at `root` and prints the findings; whether there were none.

@@ -5,7 +5,7 @@
 pub(super) const ROOMS: &[(&str, &str)] = &[
     (
         "mom-proto",
-        "codec binary json xml frame slots text_form checksum fence trace loss clock_offset parcel content serde_value packed \
+        "card codec binary json xml frame slots text_form checksum fence trace loss clock_offset parcel content serde_value packed \
          msgpack pattern path thinning names verb limits error value codes event family delivery gcra stamp challenge \
          compression context_kind fingerprint visible",
     ),
@@ -50,7 +50,7 @@ pub(super) const ROOMS: &[(&str, &str)] = &[
     ),
     (
         "mom-device",
-        "back contexts run clock outlet server fresh refusal pull queue reading machine command script words rest error",
+        "back contexts run clock outlet server fresh refusal pull queue carded reading machine command script words rest error",
     ),
     (
         "mom-wheels",

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use mom_brs::{Code, Command, Frame, Table};
-use mom_client::Map;
+use mom_client::{Card, Map};
 use mom_device::{DeviceError, DeviceTime, ErrorName, Machine, Sample, Script, Word, Words};
 use mom_linuxbot::Status;
 use mom_wheeled::Action;
@@ -438,6 +438,10 @@ impl Machine for Unit {
     const TOLERANCE: f64 = 2.0;
     // Over the radio. A new owner waits for 4 s then, so that of a robot that answers nothing it is told first that it is lost.
     const STOPPING_TIME: DeviceTime = 1_500_000;
+
+    fn card(&self) -> Card {
+        orders::card(self.table)
+    }
 
     fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<Action, DeviceError>> {
         Action::read(verb, words)

@@ -1,8 +1,9 @@
 //! What statements are on the wire, as far as the robots of this gateway know it.
 
 use mom_brs::{Code, Direction, Frame, Table};
+use mom_client::Card;
 use mom_device::{DeviceError, ErrorName};
-use mom_wheeled::Action;
+use mom_wheeled::{Action, card_of};
 
 /// The most points of one statement; the robot keeps 64.
 const MOST_POINTS: usize = 64;
@@ -34,6 +35,19 @@ pub(super) fn frames(unit: u32, table: &'static Table, action: &Action) -> Resul
             Err(DeviceError::new(ErrorName::Syntax, text))
         }
     }
+}
+
+/// What a robot of this table can do: the statements that it has commands for. It hears no other robot.
+pub(super) fn card(table: &Table) -> Card {
+    let has = |code| table.get(code).is_some();
+    let verbs = Action::verbs().into_iter().filter(|verb| match &*verb.name {
+        "motor" => has(Code::MOTOR),
+        "leds" => has(Code::LEDS),
+        "goto" => has(Code::GOTO),
+        "via" => has(Code::GOTO) && has(Code::VIA),
+        _ => false,
+    });
+    card_of("A robot on two wheels, by the radio of its base station").verbs(verbs)
 }
 
 fn frame(table: &'static Table, name: &str, code: Code, values: &[i32]) -> Result<Frame, DeviceError> {

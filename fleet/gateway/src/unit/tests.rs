@@ -2,7 +2,9 @@
 
 use mom_brs::file::EXTENDED;
 use mom_brs::{Direction, Parser};
-use mom_device::{Command as Queued, CommandQueue, Order, QueueEvent};
+use mom_client::Parcel;
+use mom_device::{Command as Queued, CommandQueue, DeviceServer, Order, QueueEvent};
+use mom_device_cases::{Stage, Statements, replay};
 use mom_linuxbot::{Robot, Rules};
 use mom_wheels::{Chassis, Simulated};
 use proptest::prelude::*;
@@ -141,6 +143,48 @@ impl Pair {
         });
         ends.collect()
     }
+}
+
+const STATEMENTS: Statements = Statements {
+    go: "goto 1500 500",
+    back: "goto 500 500",
+    wrong: "gogo 1 2",
+    beyond: Some(("follow ada 500", "syntax 5001")),
+    relative: None,
+    velocity: None,
+};
+
+/// The device that the dialogues of every device are replayed by: a unit with its robot, and nothing between them.
+fn stage() -> Stage<Unit> {
+    let mut robot = Robot::new(
+        Box::new(Simulated::linuxbot()),
+        Chassis::LINUXBOT,
+        Rules::default(),
+    );
+    let mechanism = move |server: &mut DeviceServer<Unit>, now: DeviceTime, out: &mut Vec<Parcel>| {
+        robot.advance(now);
+        while server.machine().has_to_send() {
+            let mut frames = Vec::new();
+            server.note(now, |unit| frames = unit.to_send(), out);
+            server.note(now, Unit::sent, out);
+            for reply in frames.iter().filter_map(|frame| robot.take(frame, now)) {
+                let mut heard = Ok(());
+                server.note(now, |unit| heard = unit.heard(&reply), out);
+                if let Err(error) = heard {
+                    server.fail(now, &error, out);
+                }
+            }
+        }
+    };
+    let mut stage = Stage::bare(Unit::new(7, &EXTENDED)).driven_by(mechanism);
+    stage.note(Unit::linked);
+    stage
+}
+
+/// Some are played for each of several events; none may be left out in silence.
+#[test]
+fn a_robot_of_a_fleet_does_what_every_device_does() {
+    assert_eq!(replay(stage, &STATEMENTS), 43);
 }
 
 #[test]

@@ -1,57 +1,9 @@
 //! Commands that have grown old or hold in one place only, and an arm that cannot be reached.
 
-use std::time::Duration;
-
 use super::stage::Stage;
-use super::stage::lab;
 use crate::controller::{LinkFault, Simulated};
 use crate::machine::ArmMachine;
 use crate::zones::Zones;
-
-/// A command that waits behind another grows old, by its sender's word or by the arm's.
-#[test]
-fn a_command_that_has_grown_old_is_not_begun() {
-    let refused = "status alice/2 error 0/1 too-old";
-    let mut stage = Stage::new();
-    stage.age = Some(100);
-    stage.act("alice command 1 5: wait 1000");
-    stage.act("alice command 2 5 expires 1000: home");
-    stage.act("alice command 3 5 expires 1200: home");
-    stage.heard();
-    stage.act("after 2000");
-    let heard = stage.heard();
-    assert!(heard.iter().any(|line| line.starts_with(refused)), "{heard:?}");
-    // Those behind one that failed are dropped: they were checked from where it should have led.
-    assert!(
-        heard
-            .iter()
-            .any(|line| line.starts_with("status alice/3 error 0/1 halted")),
-        "{heard:?}"
-    );
-
-    let mut stage = Stage::with(lab(), Zones::default(), |server| {
-        server.with_max_age(Duration::from_millis(500))
-    });
-    for (age, want) in [
-        (None, "status alice/2 error 0/0 too-old"),
-        (Some(491), "status alice/2 error 0/0 too-old"),
-        (Some(489), "status alice/2 waiting 0/1"),
-    ] {
-        stage.age = age;
-        stage.act("alice command 2 5: wait 5");
-        let heard = stage.heard();
-        assert!(heard[0].starts_with(want), "{age:?}: {heard:?}");
-        stage.act("after 100");
-        stage.heard();
-    }
-    stage.age = Some(100);
-    stage.act("alice command 1 5: wait 391");
-    stage.act("alice command 2 5: home");
-    stage.heard();
-    stage.act("after 1000");
-    let heard = stage.heard();
-    assert!(heard.iter().any(|line| line.starts_with(refused)), "{heard:?}");
-}
 
 /// While the link to the controller is down the arm does not say that it stands: neither to a new owner nor to who has stopped it (M53).
 #[test]

@@ -1,10 +1,10 @@
 //! The mount as a machine: how it turns, and where it is to look in the end. [`mom_device`] has its queue and its answers.
 
-use mom_client::Map;
+use mom_client::{Card, CardArg, CardVerb, Map};
 use mom_device::{DeviceError, DeviceTime, Machine, Script, Word, Words};
 use mom_trace::Trace;
 
-use super::aim::{Aim, HOME};
+use super::aim::{Aim, HOME, PANS, TILTS};
 use super::slew::Slew;
 
 /// The mount.
@@ -127,6 +127,23 @@ impl Machine for Mount {
     const STOPPING_TIME: DeviceTime = 200_000;
     // Degrees.
     const TOLERANCE: f64 = 0.1;
+
+    fn card(&self) -> Card {
+        let by = |name: &str| CardArg::number(name, "°");
+        let turn = CardVerb {
+            relative: true,
+            ..CardVerb::motion("turn", "Turns by so much from where it looks")
+        };
+        Card::new("camera-mount", "Turns the camera")
+            .verbs([
+                CardVerb::motion("look", "Turns to these angles")
+                    .args([by("pan").within(PANS), by("tilt").within(TILTS)]),
+                turn.args([by("dpan"), by("dtilt")]),
+                CardVerb::motion("home", "Turns to where it looks at the start"),
+            ])
+            .measures("pan", "°", "Where it looks: to the left")
+            .measures("tilt", "°", "Where it looks: upwards")
+    }
 
     fn read(verb: Word<'_>, words: &mut Words<'_>) -> Option<Result<MountAction, DeviceError>> {
         let mut angles = |takes, names: [&str; 2]| {
