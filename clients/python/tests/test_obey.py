@@ -4,125 +4,63 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from typing import Any, AsyncIterator, Awaitable, Callable, Dict, List, Optional
+from typing import Any, AsyncIterator, Dict, List
 
 import pytest
 import pytest_asyncio
 from conftest import PATIENCE
-from fake_hub import FakeHub
+from device_robot import ARM, Recorder, Robot, robot_at_hub
 
 import mom
 from mom.binary import encode, frame
 from mom.connection import Connection
+from mom.device import DeviceError
 from mom.driver import Driver
 from mom.parcel import Parcel
-
-ARM = "/robot/arm"
-QUICK = mom.Reconnect(first=0.005, most=0.05)
-
-
-class Recorder(mom.Machine):
-    """Notes what it is told."""
-
-    def __init__(self) -> None:
-        self.told: List[Any] = []
-        self.moving: Optional[Callable[[Any], Any]] = None
-
-    def halt(self, why: str) -> None:
-        self.told.append(f"halt: {why}")
-
-    def move(self, command: Any, message: mom.Message) -> Optional[Awaitable[Any]]:
-        self.told.append(command)
-        moving: Optional[Awaitable[Any]] = self.moving(command) if self.moving else None
-        return moving
-
-    def state(self) -> Dict[str, Any]:
-        return {"position": 7}
-
-    def free(self) -> None:
-        self.told.append("free")
-
-
-class Robot:
-    """A device, its machine, and the hub that it is at."""
-
-    def __init__(self, hub: FakeHub) -> None:
-        self.hub, self.machine = hub, Recorder()
-        self.guard: Dict[str, Any] = {}
-        self.client: mom.Client
-        self.arm: mom.Device
-
-    async def start(self, **options: Any) -> None:
-        self.books(number=0, stopped=False)
-        self.client = await mom.connect(self.hub.address, guest=True, reconnect=QUICK, **{"heartbeat": 5.0, **options})
-        self.arm = await self.client.obey(ARM, self.machine)
-
-    def books(self, **state: Any) -> None:
-        """What the hub says to who joins."""
-        self.hub.replies["join"] = {"path": ARM, "kind": "channel", "number": 7, "stop": state, **self.guard}
-
-    def say(
-        self, name: str, content: Any = None, sender: str = "bob", number: Optional[int] = None, **slots: Any
-    ) -> None:
-        extra = {} if number is None else {"stop": number}
-        self.hub.say(Parcel("message", name, ARM, content, sender=sender, extra=extra, **slots))
-
-    def tell(self, name: str, **state: Any) -> None:
-        self.hub.say(Parcel("event", name, ARM, state, sender="hub"))
-
-    def said(self, name: str) -> List[Any]:
-        return [parcel.content for parcel in self.hub.heard if parcel.is_("message", name)]
-
-    @property
-    def told(self) -> List[Any]:
-        return self.machine.told
-
-    async def until(self, condition: Callable[[], Any]) -> None:
-        async def wait() -> None:
-            while not condition():
-                await asyncio.sleep(0.002)  # tidy: looks again until it is so
-
-        try:
-            await asyncio.wait_for(wait(), PATIENCE)
-        except asyncio.TimeoutError:
-            raise AssertionError(f"told {self.told}, said {[(p.name, p.content) for p in self.hub.heard]}") from None
-
-    async def settled(self) -> None:
-        """All that the hub has said so far is heard, and all that the device has said to it has come."""
-        for _ in range(2):
-            await self.client.lookup("/")
 
 
 @pytest_asyncio.fixture
 async def robot() -> AsyncIterator[Robot]:
-    hub = await FakeHub().start()
-    robot = Robot(hub)
-    yield robot
-    await robot.client.close()
-    await hub.stop()
+    async with robot_at_hub() as robot:
+        yield robot
 
 
 async def test_a_device_obeys_stops_by_their_numbers_and_says_after_each_how_it_stands(robot: Robot) -> None:
     await robot.start()
     await robot.until(lambda: robot.said("state"))
     assert robot.arm.may_move() is None
-    robot.say("command", "home")
+    robot.say("command", "do home", id=8)
+    await robot.until(lambda: "home" in robot.told)
+    await robot.settled()
+    before = len(robot.said("state"))
     robot.say("stop", "smoke", number=7)
-    robot.say("command", "up", id=9)
-    await robot.until(lambda: len(robot.said("state")) == 2)
+    robot.say("command", "do up", id=9)
+    await robot.until(lambda: robot.errors())
     robot.say("unstop", number=6)
-    await robot.until(lambda: len(robot.said("state")) == 3 and robot.said("status"))
-    assert robot.told == ["home", "halt: stopped by bob: smoke"]
-    (status,) = [parcel for parcel in robot.hub.heard if parcel.is_("message", "status")]
-    assert (status.content["state"], status.content["peer"], status.reference) == ("error", "bob", 9)
-    assert status.content["error"] == {"name": "stopped", "text": "stopped by bob: smoke"}
+    await robot.until(lambda: len(robot.said("state")) >= before + 2)
+    assert robot.deeds == ["home", "halt"] and robot.arm.is_stopped
+    (status,) = [one for one in robot.hub.heard if one.is_("message", "status") and one.content["state"] == "error"]
+    assert (status.content["peer"], status.content["id"], status.reference) == ("bob", 9, 9)
+    words = "the arm is stopped and takes no command until the stop is released"
+    assert status.content["error"] == {"name": "stopped", "code": 5102, "text": words}
     robot.say("unstop", number=7)
-    await robot.until(lambda: len(robot.said("state")) == 4)
-    states = [(state["stopped"], state["stop"], state["position"]) for state in robot.said("state")]
-    assert states == [(False, 0, 7), (True, 7, 7), (True, 7, 7), (False, 7, 7)]
-    assert robot.told[-1] == "free" and not robot.arm.is_stopped
+    await robot.until(lambda: not robot.said("state")[-1]["stopped"])
+    states = [(state["stopped"], state["stop"], state["position"]) for state in robot.said("state")[before:]]
+    assert states[0] == states[-2] == (True, 7, 7) and states[-1] == (False, 7, 7)
+    assert not robot.arm.is_stopped and robot.deeds == ["home", "halt"], "it moves by the next command only"
     kept = [parcel for parcel in robot.hub.heard if parcel.is_("message", "state")]
     assert all(parcel.delivery == "latest" and parcel.echo is False for parcel in kept)
+
+
+async def test_a_command_goes_through_its_states_and_its_end_is_told_behind_a_state(robot: Robot) -> None:
+    await robot.start()
+    robot.say("command", "do up; wait 1; do down", id=3)
+    await robot.until(lambda: [one for one in robot.said("status") if one["state"] == "finished"])
+    assert robot.told == ["halt", "up", "down"] or robot.told == ["up", "down"]
+    words = [(one["state"], one["statement"], one["of"]) for one in robot.said("status")]
+    assert words == [("waiting", 0, 3), ("executing", 1, 3), ("executing", 2, 3), ("executing", 3, 3), ("finished", 3, 3)]
+    said = [parcel for parcel in robot.hub.heard if parcel.family == "message"]
+    assert [parcel.name for parcel in said[-2:]] == ["state", "status"] and "executing" not in said[-2].content
 
 
 async def test_a_device_says_what_it_has_heard_of_stops_when_its_channel_is_back(robot: Robot) -> None:
@@ -140,23 +78,35 @@ async def test_a_device_says_what_it_has_heard_of_stops_when_its_channel_is_back
     assert last["installation"] and [last[key] for key in ("installation", "begun")] == [first[key] for key in ("installation", "begun")]
 
 
+async def test_a_device_tells_its_card_to_hubs_that_take_it(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    await robot.start()
+    for tells, minor, card in ((False, 4, None), (True, 3, None), (True, None, None), (True, 4, Recorder.card())):
+        monkeypatch.setattr(mom.core, "_TELLS_CARDS", tells)
+        robot.client._core.welcome["protocol"] = {"major": 1, "minor": minor}
+        # A join again keeps it.
+        await robot.arm.channel.thin(newest=True)
+        (*_, join) = [parcel.content for parcel in robot.hub.heard if parcel.is_("context", "join") and parcel.context == ARM]
+        assert join["device"].get("card") == card and join["newest"]
+
+
 async def test_a_device_learns_from_a_halt_which_token_guards_it_from_now_on(robot: Robot) -> None:
     await robot.start()
-    robot.say("command", "free")
+    robot.say("command", "do free")
     await robot.until(lambda: "free" in robot.told)
     guard = {"token": "/robot/token", "names": ["command"], "owner": "bob", "fence": 3}
     # Only the hub may say so.
     robot.say("halt", {"guard": guard})
-    robot.say("command", "free again")
-    await robot.until(lambda: "free again" in robot.told)
+    robot.say("command", "do again")
+    await robot.until(lambda: "again" in robot.told)
     robot.say("halt", {"guard": guard}, sender="hub")
-    robot.say("command", "unguarded", id=4)
-    robot.say("command", "mine", fence=3)
+    robot.say("command", "do unguarded", id=4)
+    robot.say("command", "do mine", fence=3)
     await robot.until(lambda: "mine" in robot.told)
-    assert robot.told == ["free", "free again", "halt: safe state", "mine"]
-    assert [(status["id"], status["error"]["name"]) for status in robot.said("status")] == [(4, "older-fence")]
+    assert robot.deeds == ["free", "again", "halt", "mine"]
+    assert robot.errors() == [(4, "older-fence")]
+    assert robot.why(4) == "the command was sent without a fence, and bob owns its token now, with fence 3"
     robot.say("halt", {"guard": {}}, sender="hub")
-    robot.say("command", "unguarded")
+    robot.say("command", "do unguarded")
     await robot.until(lambda: "unguarded" in robot.told)
 
 
@@ -164,64 +114,106 @@ async def test_a_device_that_is_put_out_of_its_channel_halts_and_says_why(robot:
     await robot.start()
     # Another one that is put out does not concern this one.
     robot.tell("expelled", peer="bob", text="off")
-    robot.say("command", "before")
+    robot.say("command", "do before")
     robot.tell("expelled", peer=robot.client.name, text="arm~2 is the device here now")
-    robot.say("command", "after")
+    robot.say("command", "do after")
     await robot.arm.ended()
     words = "it was expelled from its channel: arm~2 is the device here now"
-    assert robot.told == ["before", f"halt: {words}"]
+    assert robot.told[-1] == "halt" and "after" not in robot.told
     held = robot.arm.may_move()
     assert held is not None and (held.word, held.text) == ("unknown", words)
 
 
 async def test_what_the_hub_itself_says_is_the_safe_state(robot: Robot) -> None:
     await robot.start()
+    robot.say("command", "hold", id=1)
+    await robot.until(lambda: "hold" in robot.told)
     # Only the hub may say this.
     robot.say("halt")
+    await robot.settled()
+    assert robot.deeds == ["hold"]
     robot.say("halt", sender="hub")
-    robot.say("command", "park", sender="hub")
+    robot.say("command", "hold", id=2)
+    await robot.until(lambda: robot.told.count("hold") == 2)
+    robot.say("command", "do park", sender="hub")
     await robot.until(lambda: "park" in robot.told)
-    assert robot.told == ["halt: safe state", "halt: safe state", "park"]
+    assert robot.deeds == ["hold", "halt", "hold", "halt", "park"]
+    assert robot.errors() == [(1, "halted"), (2, "halted")] and "the hub ordered the safe state" in robot.why(1)
 
 
 async def test_a_device_obeys_no_earlier_owner_and_no_old_message(robot: Robot) -> None:
     robot.guard = {"guard": {"token": "/robot/token", "names": ["command"], "owner": "bob", "fence": 3}}
     await robot.start()
-    robot.say("command", "earlier", fence=2, id=4)
-    robot.say("command", "mine", fence=3)
+    robot.say("command", "do earlier", fence=2, id=4)
+    robot.say("command", "do mine", fence=3)
     await robot.until(lambda: "mine" in robot.told)
-    robot.hub.say(Parcel("message", "command", ARM, "kept", sender="bob", fence=3, extra={"history": True}))
+    robot.hub.say(Parcel("message", "command", ARM, "do kept", sender="bob", fence=3, extra={"history": True}))
+    robot.say("command", "hold", fence=3, id=6)
+    await robot.until(lambda: "hold" in robot.told)
     robot.hub.say(Parcel("event", "released", "/robot/token", {"owner": "bob", "reason": "released", "fence": 3}))
-    robot.say("command", "later", fence=3, id=5)
-    await robot.until(lambda: len(robot.said("status")) == 2)
-    assert robot.told == ["mine", "halt: its owner no longer owns it"]
-    assert [(status["id"], status["error"]["name"]) for status in robot.said("status")] == [
-        (4, "older-fence"),
-        (5, "older-fence"),
-    ]
+    robot.say("command", "do later", fence=3, id=5)
+    await robot.until(lambda: len(robot.errors()) == 3)
+    assert robot.deeds == ["mine", "hold", "halt"]
+    assert robot.errors() == [(4, "older-fence"), (6, "halted"), (5, "older-fence")]
+
+
+async def test_the_first_motion_of_a_new_owner_waits_until_the_device_rests(robot: Robot) -> None:
+    robot.guard = {"guard": {"token": "/robot/token", "names": ["command"], "owner": "bob", "fence": 3}}
+    await robot.start()
+    robot.say("command", "hold", fence=3, id=1)
+    await robot.until(lambda: "hold" in robot.told)
+    place = 0
+    rolling = iter(range(100))
+
+    def position() -> Dict[str, Any]:
+        # For a while it rolls on, though it was halted.
+        nonlocal place
+        place = next(rolling) * 5 if place < 30 else place
+        return {"position": place}
+
+    robot.device.position = position  # type: ignore[method-assign]
+    robot.hub.say(Parcel("event", "grabbed", "/robot/token", {"owner": "carol", "level": 1, "fence": 4}))
+    robot.say("command", "do next", sender="carol", fence=4, id=2)
+    await robot.until(lambda: "next" in robot.told)
+    await robot.settled()
+    rests = [state for state in robot.said("state") if state.get("fence") == 4 and state.get("rest") == "measured"]
+    assert place >= 30 and rests and rests[0]["position"] == place and not rests[0]["moving"]
+    assert robot.errors() == [(1, "halted")] and robot.why(1) == "the arm was halted: the token changed hands"
 
 
 async def test_it_moves_nothing_before_it_has_heard_how_it_stands_on_this_connection(robot: Robot) -> None:
     await robot.start()
+    robot.say("command", "hold", id=1)
+    await robot.until(lambda: "hold" in robot.told)
     robot.say("stop", number=5)
+    await robot.until(lambda: robot.arm.is_stopped)
+    robot.say("unstop", number=5)
+    robot.say("command", "hold", id=2)
+    await robot.until(lambda: robot.told.count("hold") == 2)
+    robot.say("stop", number=6)
     await robot.until(lambda: robot.arm.is_stopped)
     robot.hub.cut()
     await robot.until(lambda: robot.hub.resumes)
-    assert "halt: the connection to the hub is lost" in robot.told
     await robot.settled()
     assert robot.arm.is_stopped, "what stopped it holds over the loss"
-    robot.tell("unstopped", number=5, stopped=False)
+    robot.tell("unstopped", number=6, stopped=False)
     await robot.until(lambda: robot.arm.may_move() is None)
     # Not stopped before, and still it has to hear so.
+    robot.say("command", "hold", id=3)
+    await robot.until(lambda: robot.told.count("hold") == 3)
     robot.hub.cut()
     await robot.until(lambda: len(robot.hub.resumes) == 2)
-    robot.say("command", "too early")
+    robot.say("command", "do early", id=4)
     await robot.settled()
     held = robot.arm.may_move()
-    assert held is not None and held.word == "unknown" and "too early" not in robot.told
+    assert held is not None and held.word == "unknown" and "early" not in robot.told
+    # What was said while the link was down is said when it is back.
+    await robot.until(lambda: len(robot.errors()) == 4)
+    assert robot.why(3) == "the arm was halted: the link to the hub was lost" and robot.errors()[3] == (4, "stopped")
     robot.say("stop", {"by": "carol", "reason": "fire"}, sender="hub", number=8)
     await robot.until(lambda: robot.arm.is_stopped)
-    assert robot.told[-1] == "halt: stopped by carol: fire"
+    held = robot.arm.may_move()
+    assert held is not None and held.text == "stopped by carol: fire"
 
 
 async def test_it_says_what_it_knew_when_it_joins_again(robot: Robot) -> None:
@@ -252,28 +244,46 @@ async def test_it_says_what_it_knew_when_it_joins_again(robot: Robot) -> None:
         said = joins()[-1]["device"]
         assert {key: said[key] for key in word} == word
         await robot.until(lambda: robot.arm.is_stopped)
+    joined = [parcel.name for parcel in robot.hub.heard if parcel.context == ARM and parcel.family in ("context", "message")]
+    assert all(joined[place - 1] != "logout" for place in range(len(joined))) and joined[0] == "join"
+
+
+async def test_how_a_command_ended_is_told_when_the_channel_is_joined_again(robot: Robot) -> None:
+    await robot.start()
+    robot.say("command", "hold", id=1)
+    await robot.until(lambda: "hold" in robot.told)
+    robot.hub.resumable = False
+    robot.hub.cut()
+    await robot.until(lambda: robot.errors())
+    names = [parcel.name for parcel in robot.hub.heard if parcel.context == ARM]
+    assert robot.why(1) == "the arm was halted: the link to the hub was lost"
+    assert "status" in names[len(names) - names[::-1].index("join") :], "nothing is said before it is a member again"
 
 
 async def test_a_hub_that_tells_no_state_of_stops_has_none(robot: Robot) -> None:
     robot.hub.replies["join"] = {"path": ARM, "kind": "channel", "number": 7}
     robot.client = await mom.connect(robot.hub.address, guest=True)
-    robot.arm = await robot.client.obey(ARM, robot.machine)
+    robot.arm = await robot.client.obey(ARM, robot.device)
     await robot.until(lambda: robot.arm.may_move() is None)
 
 
 async def test_a_stop_behind_more_than_it_keeps_is_obeyed(robot: Robot) -> None:
     await robot.start(event_buffer=8)
     await robot.until(lambda: robot.said("state"))
+    robot.say("command", "hold", id=1)
+    await robot.until(lambda: "hold" in robot.told)
     # All of it is there before the device takes the first.
     notes = [Parcel("message", "note", ARM, number, sender="bob") for number in range(1100)]
     flood = [*notes, Parcel("message", "stop", ARM, "smoke", sender="bob", extra={"stop": 7}), *notes]
     robot.hub.writer.write(b"".join(frame(encode(parcel)) for parcel in flood))  # type: ignore[union-attr]
     robot.hub.sent += len(flood)
-    await robot.until(lambda: robot.arm.is_stopped and "halt: stopped by bob: smoke" in robot.told)
+    await robot.until(lambda: robot.arm.is_stopped and robot.told[-1] == "halt")
     await robot.settled()
     assert robot.said("state")[-1]["stop"] == 7
     # It has missed some, and it missed only that stop.
-    assert robot.said("stop") == [] and any("it has missed" in str(word) for word in robot.told)
+    assert robot.said("stop") == [] and robot.errors() == [(1, "stopped")]
+    held = robot.arm.may_move()
+    assert held is not None and held.text == "stopped by bob: smoke" and "it has missed" in robot.why(1)
 
 
 async def test_a_gap_is_a_stop_of_its_own(robot: Robot) -> None:
@@ -299,10 +309,14 @@ async def test_a_gap_is_a_stop_of_its_own(robot: Robot) -> None:
 
 async def test_it_stops_itself_and_tells_the_hub_when_that_is_back(robot: Robot) -> None:
     await robot.start()
+    robot.say("command", "hold", id=1)
+    await robot.until(lambda: "hold" in robot.told)
     robot.arm.stop_itself("bumper")
-    assert robot.told == ["halt: bumper"]
+    assert robot.told[-1] == "halt"
     await robot.until(lambda: robot.said("stop"))
     assert robot.said("stop") == [{"reason": "stopped by itself: bumper"}]
+    await robot.until(lambda: robot.errors())
+    assert robot.why(1) == "the arm was stopped: bumper"
     robot.hub.resumable = False
     robot.hub.cut()
     await robot.until(lambda: len(robot.said("stop")) == 2)
@@ -312,12 +326,16 @@ async def test_it_halts_when_the_hub_is_silent_and_may_move_when_that_is_heard(r
     robot.hub.limits = {"heartbeat": 100, "gone": 30_000}
     await robot.start(heartbeat=0.1)
     await robot.until(lambda: robot.arm.may_move() is None)
+    robot.say("command", "hold", id=1)
+    await robot.until(lambda: "hold" in robot.told)
     robot.hub.silent = True
-    await robot.until(lambda: "halt: the hub is silent" in robot.told)
+    await robot.until(lambda: robot.told[-1] == "halt")
     held = robot.arm.may_move()
     assert held is not None and held.text == "the hub is silent"
     robot.hub.silent = False
     await robot.until(lambda: robot.arm.may_move() is None)
+    await robot.until(lambda: robot.errors())
+    assert robot.why(1) == "the arm was halted: the hub is silent"
 
 
 async def test_it_moves_by_nothing_that_came_while_its_program_stood_still(
@@ -335,22 +353,27 @@ async def test_it_moves_by_nothing_that_came_while_its_program_stood_still(
     await robot.until(lambda: robot.said("state"))
     # As if nothing had run for so long: what is there then is older than the connection lives.
     served[0].heard -= 1000
-    robot.say("command", "up")
+    robot.say("command", "do up")
     await robot.until(lambda: len(served) > 1)
-    assert robot.told and all(str(word).startswith("halt: ") for word in robot.told)
+    assert robot.told and set(robot.told) == {"halt"}
 
 
 async def test_it_halts_at_its_end(robot: Robot) -> None:
     await robot.start()
+    robot.say("command", "hold", id=1)
+    await robot.until(lambda: "hold" in robot.told)
     await robot.arm.leave()
-    assert robot.told[-1] == "halt: it is no longer a device of its channel"
+    assert robot.told[-1] == "halt"
+    # It says so before it leaves.
+    names = [parcel.name for parcel in robot.hub.heard if parcel.context == ARM]
+    assert names[-1] == "leave" and robot.why(1) == "the arm was halted: it is leaving its channel"
     held = robot.arm.may_move()
     assert held is not None and "no longer a device" in held.text
     again = Recorder()
     arm = await robot.client.obey(ARM, again)
     await robot.client.close()
     await asyncio.wait_for(arm.ended(), PATIENCE)
-    assert again.told[-1] == "halt: it is no longer a device of its channel"
+    assert again.told[-1] == "halt"
 
 
 async def test_a_move_that_takes_long_is_cancelled_before_the_machine_is_halted(robot: Robot) -> None:
@@ -366,55 +389,81 @@ async def test_a_move_that_takes_long_is_cancelled_before_the_machine_is_halted(
             steps.append(f"{command} ends")
         steps.append("never")
 
-    robot.machine.moving = move
+    robot.device.moving = lambda word: move(word)
     for number, command in enumerate(("up", "down")):
-        robot.say("command", command, id=number)
-    await robot.until(lambda: robot.told == ["up", "down"])
+        robot.say("command", f"do {command}", id=number)
+    await robot.until(lambda: "up" in robot.told)
     robot.say("stop", number=7)
-    await robot.until(lambda: len(robot.said("status")) == 2)
-    assert sorted(steps) == ["down ends", "up ends"]
-    assert [status["error"]["name"] for status in robot.said("status")] == ["halted", "halted"]
+    await robot.until(lambda: len(robot.errors()) == 2)
+    # One command is carried out at a time: the other has not begun.
+    assert steps == ["up ends"] and "down" not in robot.told
+    assert robot.errors() == [(0, "stopped"), (1, "stopped")]
     robot.say("unstop", number=7)
-    robot.say("command", "break", id=3)
-    await robot.until(lambda: len(robot.said("status")) == 3)
-    assert robot.said("status")[2]["error"] == {"name": "failed", "text": "ValueError: no such joint"}
+    robot.say("command", "do break", id=3)
+    await robot.until(lambda: len(robot.errors()) == 3)
+    assert robot.errors()[2] == (3, "link") and robot.why(3) == "statement 1: `do` failed: ValueError: no such joint"
 
 
-async def test_what_a_move_raises_is_told_to_its_sender(robot: Robot) -> None:
+async def test_what_a_verb_raises_is_told_to_its_sender(robot: Robot, caplog: pytest.LogCaptureFixture) -> None:
     await robot.start()
 
-    def move(command: Any) -> None:
-        raise mom.LocalError("stale-state", "it has moved since") if command == 1 else KeyError("joint")
+    def move(word: str) -> None:
+        raise DeviceError("obstacle", "a hand is in it") if word == "one" else KeyError("joint")
 
-    robot.machine.moving = move
-    for number in (1, 2):
-        robot.say("command", number, id=number)
-    await robot.until(lambda: len(robot.said("status")) == 2)
-    assert [status["error"]["name"] for status in robot.said("status")] == ["stale-state", "failed"]
-    robot.machine.moving = None
-    robot.say("command", 3)
-    await robot.until(lambda: 3 in robot.told)
+    robot.device.moving = move
+    robot.say("command", "wait 1; do one; do two", id=1)
+    robot.say("command", "do three", id=2)
+    robot.say("command", "do four", id=3)
+    await robot.until(lambda: len(robot.errors()) == 3)
+    assert robot.errors() == [(1, "obstacle"), (2, "halted"), (3, "halted")]
+    (error, *_) = [one["error"] for one in robot.said("status") if one["state"] == "error"]
+    assert error == {"name": "obstacle", "code": 5110, "text": "statement 2: a hand is in it", "statement": 2}
+    assert robot.why(2) == "the command before it failed, so this one was not begun"
+    assert robot.told[-1] == "halt" and not caplog.records[1:], "what it says itself is not logged"
+    robot.say("command", "do two", id=4)
+    await robot.until(lambda: len(robot.errors()) == 4)
+    assert robot.errors()[3] == (4, "link") and "the arm: `do` failed" in caplog.text
+    robot.device.moving = lambda word: None
+    robot.say("command", "do five")
+    await robot.until(lambda: "five" in robot.told)
 
 
-async def test_a_machine_that_fails_stands_and_says_why(robot: Robot, caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize("what", ["halt", "position", "report"])
+async def test_a_machine_that_fails_stands_and_says_why(robot: Robot, caplog: pytest.LogCaptureFixture, what: str) -> None:
     await robot.start()
-    robot.machine.free = lambda: 1 / 0  # type: ignore[method-assign, assignment]
+    robot.say("command", "hold", id=1)
+    await robot.until(lambda: "hold" in robot.told)
+    halted: List[str] = []
+
+    def fails() -> Any:
+        halted.append(what)
+        raise ZeroDivisionError(what)
+
+    setattr(robot.device, what, fails)
     robot.say("stop", number=7)
     robot.say("unstop", number=7)
+    robot.say("command", "do up", id=2)
     with pytest.raises(ZeroDivisionError):
         await asyncio.wait_for(robot.arm.ended(), PATIENCE)
-    assert robot.told[-1] == "halt: it is no longer a device of its channel" and robot.arm.may_move() is not None
-    assert "obeys nothing any more" in caplog.text
+    assert robot.arm.may_move() is not None and "obeys nothing any more" in caplog.text
+    # Also where that is what fails, it is tried.
+    assert robot.told[-1] == "halt" if what != "halt" else len(halted) > 1
+    robot.arm.report()
+    robot.arm.stop_itself("bumper")
+    await robot.settled()
+    assert "up" not in robot.told and robot.said("stop") == []
 
 
 async def test_it_hears_how_it_stands_also_where_the_channel_is_heard_already(robot: Robot) -> None:
     robot.books(number=0, stopped=False)
     robot.client = await mom.connect(robot.hub.address, guest=True)
     (await robot.client.channel(ARM, device=True)).events()
-    robot.arm = await robot.client.obey(ARM, robot.machine)
+    robot.arm = await robot.client.obey(ARM, robot.device)
     await robot.until(lambda: robot.arm.may_move() is None)
     robot.hub.say(Parcel("event", "joined", ARM, {"peer": "carol", "user": "carol", "level": 1}))
     await robot.until(lambda: any(parcel.address == ["carol"] for parcel in robot.hub.heard))
+    (told,) = [parcel.content for parcel in robot.hub.heard if parcel.address == ["carol"]]
+    assert told["stops-within"] == 1000
 
 
 async def test_a_device_with_a_slow_heartbeat_is_told_so(robot: Robot, caplog: pytest.LogCaptureFixture) -> None:
@@ -427,8 +476,21 @@ async def test_a_path_that_cannot_be_joined_is_no_device(robot: Robot) -> None:
     robot.hub.replies["join"] = {"path": ARM, "kind": "session", "number": 7}
     robot.client = await mom.connect(robot.hub.address, guest=True)
     with pytest.raises(mom.RefusedError, match="wrong-kind"):
-        await robot.client.obey(ARM, robot.machine)
+        await robot.client.obey(ARM, robot.device)
     assert robot.told == []
+
+
+async def test_what_cannot_be_a_device_leaves_the_channel(robot: Robot) -> None:
+    await robot.start()
+    with pytest.raises(TypeError, match="mom.device.Device as its base"):
+        await robot.client.obey("/robot/other", Recorder)  # type: ignore[arg-type]
+    broken = Recorder()
+    broken.is_reached = lambda: 1 / 0  # type: ignore[method-assign, assignment, return-value]
+    with pytest.raises(ZeroDivisionError):
+        await robot.client.obey("/robot/other", broken)
+    await robot.settled()
+    said = [parcel.name for parcel in robot.hub.heard if parcel.context == "/robot/other"]
+    assert said == ["join", "leave"] and "/robot/other" not in robot.client._core.places
 
 
 async def test_what_the_hub_says_of_stops_is_kept_in_a_full_queue_the_newest_of_it(robot: Robot) -> None:

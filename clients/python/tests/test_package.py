@@ -9,6 +9,7 @@ import zipfile
 from pathlib import Path
 
 import mom
+import mom.device
 
 HERE = Path(__file__).parents[1]
 
@@ -26,22 +27,25 @@ def test_the_wheel_has_all_of_it_and_its_types(tmp_path: Path) -> None:
     run("-m", "build", "--no-isolation", "--wheel", "--outdir", str(tmp_path))
     (wheel,) = tmp_path.glob("mom_client-*-py3-none-any.whl")
     names = zipfile.ZipFile(wheel).namelist()
-    wanted = {f"mom/{file.name}" for file in (HERE / "src/mom").glob("*.py")} | {"mom/py.typed"}
+    sources = HERE / "src"
+    wanted = {str(file.relative_to(sources)) for file in (sources / "mom").rglob("*.py")} | {"mom/py.typed"}
     assert wanted <= set(names) and not [name for name in names if "test" in name]
 
 
 def test_the_reference_is_made_of_the_comments(tmp_path: Path) -> None:
     run("-m", "pdoc", "mom", "-o", str(tmp_path), env={"PYTHONPATH": "src", "PATH": "/usr/bin:/bin"})
     assert "Exclusive control of what a token guards" in (tmp_path / "mom.html").read_text()
+    assert "Makes a method a verb" in (tmp_path / "mom/device.html").read_text()
 
 
 def test_all_that_is_public_is_described() -> None:
-    for name in mom.__all__:
-        value = getattr(mom, name)
-        if isinstance(value, type) or name == "connect":
-            assert (value.__doc__ or "").strip(), name
+    for module in (mom, mom.device):
+        for name in module.__all__:
+            value = getattr(module, name)
+            if isinstance(value, type) or name in ("connect", "verb"):
+                assert (value.__doc__ or "").strip(), name
 
 
 def test_it_is_python_3_9() -> None:
-    for file in (HERE / "src/mom").glob("*.py"):
+    for file in (HERE / "src/mom").rglob("*.py"):
         ast.parse(file.read_text(), feature_version=(3, 9))

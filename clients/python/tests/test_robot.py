@@ -21,14 +21,16 @@ import mom
 ARM, TOKEN = "/robot/arm", "/robot/token"
 README = (Path(__file__).parents[1] / "README.md").read_text()
 MOTORS = """
-import time
+import asyncio, time
 def say(*words):
     print(time.monotonic(), *words, flush=True)
 def brake():
     say("brake")
-def drive(command):
-    say("drive", command)
-def position():
+async def lift(height):
+    say("lift", int(height))
+    await asyncio.Event().wait()
+    say("there")
+def height():
     return 7
 """
 
@@ -133,11 +135,11 @@ async def run(broker: Broker, *words: str) -> str:
     return done.stdout
 
 
-async def drives(robot: Robot, alice: mom.Client, command: str, guard: mom.TokenGuard) -> int:
+async def lifts(robot: Robot, alice: mom.Client, height: int, guard: mom.TokenGuard) -> int:
     """Sends a command and waits until the motors are told of it."""
     arm = await alice.channel(ARM)
-    await arm.send_acknowledged("command", command, fence=guard.fence)
-    return await robot.hears(f"drive {command}")
+    await arm.send_acknowledged("command", f"lift {height}", fence=guard.fence)
+    return await robot.hears(f"lift {height}")
 
 
 async def is_there(alice: mom.Client) -> None:
@@ -157,25 +159,47 @@ async def test_it_is_stopped_and_let_go_by_mom(robot: Robot, own_broker: Broker)
     async with own_broker.connect("bob") as bob:
         await is_there(bob)
         async with (await bob.token(TOKEN)).grab() as guard:
-            at = await drives(robot, bob, "home", guard)
-            assert "/robot/arm: arm obeys" in await run(own_broker, "stop", "/robot", "--reason", "smoke")
+            at = await lifts(robot, bob, 100, guard)
+            assert "/robot/arm: arm stands" in await run(own_broker, "stop", "/robot", "--reason", "smoke")
             at = await robot.hears("brake", at)
             arm = await bob.channel(ARM)
             events = arm.events()
-            await arm.send_acknowledged("command", "up", fence=guard.fence)
-            while (status := await heard(events, mom.Message)).name != "status":
+            await arm.send_acknowledged("command", "lift 300", fence=guard.fence)
+            while (status := await heard(events, mom.Message)).name != "status" or status.content["state"] != "error":
                 pass
-            assert status.content["error"]["name"] == "stopped" and status.content["error"]["text"].endswith("smoke")
+            assert status.content["error"]["name"] == "stopped"
             assert "arm may move" in await run(own_broker, "unstop", "/robot")
-            await drives(robot, bob, "up", guard)
-            assert robot.told.count("drive up") == 1
+            await lifts(robot, bob, 300, guard)
+            assert robot.told.count("lift 300") == 1
+
+
+async def test_mom_shows_and_drives_what_it_has_never_heard_of(robot: Robot, own_broker: Broker) -> None:
+    async with own_broker.connect("alice") as alice:
+        await is_there(alice)
+        card = await alice.card(ARM)
+        assert card and [verb["name"] for verb in card["verbs"]] == ["lift"], card
+    for words in (["card", ARM], ["help", ARM]):
+        shown = await run(own_broker, *words)
+        assert "lift height/mm" in shown and "Lifts the hand to a height" in shown, shown
+    script = own_broker.folder / "lift.script"
+    script.write_text("wait 1\nlift 900\n")
+    loop = asyncio.get_running_loop()
+    wrong = await loop.run_in_executor(None, lambda: mom_program(own_broker, "run", str(script)))
+    assert wrong.returncode == 1 and f"{script}:2:6: statement 1: height is 900, `lift` takes 0 to 500 mm" in wrong.stderr, wrong.stderr
+    assert not any(words.startswith("lift") for words in robot.told)
+    script.write_text("wait 1; lift 300\n")
+    driving = loop.run_in_executor(None, lambda: mom_program(own_broker, "run", str(script)))
+    at = await robot.hears("lift 300")
+    await run(own_broker, "stop", "/robot")
+    await robot.hears("brake", at)
+    assert (await driving).returncode == 1
 
 
 async def test_a_stop_behind_a_flood_is_obeyed(robot: Robot, own_broker: Broker) -> None:
     async with own_broker.connect("alice") as alice, own_broker.connect("bob") as bob:
         await is_there(alice)
         async with (await bob.token(TOKEN)).grab() as guard:
-            at = await drives(robot, bob, "home", guard)
+            at = await lifts(robot, bob, 100, guard)
             arm = await alice.channel(ARM)
             for number in range(1100):
                 await arm.send("note", number)
@@ -184,19 +208,19 @@ async def test_a_stop_behind_a_flood_is_obeyed(robot: Robot, own_broker: Broker)
             at = await robot.hears("brake", at)
             print(f"flood: {robot.times[at - 1] - began:.3f} s")
             assert (await alice.stops(ARM)).stopped
-            await (await bob.channel(ARM)).send_acknowledged("command", "up", fence=guard.fence)
-            # Lifted as far as it is stopped, it drives the next command, and not that one.
+            await (await bob.channel(ARM)).send_acknowledged("command", "lift 300", fence=guard.fence)
+            # Lifted as far as it is stopped, it carries out the next command, and not that one.
             while (state := await alice.stops(ARM)).stopped:
                 await alice.unstop(ARM, state.number)
-            await drives(robot, bob, "down", guard)
-            assert "drive up" not in robot.told
+            await lifts(robot, bob, 200, guard)
+            assert "lift 300" not in robot.told
 
 
 @pytest.mark.parametrize("how", [signal.SIGSTOP, signal.SIGKILL], ids=["frozen", "killed"])
 async def test_it_halts_when_its_hub_is(robot: Robot, own_broker: Broker, how: signal.Signals) -> None:
     async with own_broker.connect("alice") as alice:
         await is_there(alice)
-        at = await drives(robot, alice, "home", await (await alice.token(TOKEN)).grab())
+        at = await lifts(robot, alice, 100, await (await alice.token(TOKEN)).grab())
         began = time.monotonic()
         own_broker.signal(how)
         at = await robot.hears("brake", at)
@@ -212,7 +236,7 @@ async def test_stopped_while_its_connection_is_lost_it_comes_back_stopped(own_br
     async with own_broker.connect("alice") as alice, own_broker.connect("bob") as bob:
         await is_there(alice)
         guard = await (await alice.token(TOKEN)).grab()
-        at = await drives(robot, alice, "home", guard)
+        at = await lifts(robot, alice, 100, guard)
         events = (await bob.channel(ARM)).events()
         cutter.refuses = True
         cutter.cut()
@@ -231,7 +255,7 @@ async def test_stopped_while_it_does_not_run_it_comes_back_stopped(robot: Robot,
     async with own_broker.connect("alice") as alice, own_broker.connect("bob") as bob:
         await is_there(alice)
         guard = await (await alice.token(TOKEN)).grab()
-        await drives(robot, alice, "home", guard)
+        await lifts(robot, alice, 100, guard)
         await robot.interrupt()
         assert robot.told[-1] == "brake", "at its end, too"
         (told,) = (await bob.stop(ARM, reason="while it was away", within=0)).channels
@@ -248,10 +272,10 @@ async def comes_back_stopped(
     events, arm = (await bob.channel(ARM)).events(), await alice.channel(ARM)
     while (state := await heard(events, mom.Message)).name != "state" or not state.content["stopped"]:
         pass
-    assert state.content == {"position": 7, "stopped": True, "stop": number}
-    await arm.send_acknowledged("command", "up", fence=guard.fence)
+    assert (state.content["height"], state.content["stop"]) == (7, number)
+    await arm.send_acknowledged("command", "lift 300", fence=guard.fence)
     # Where it was ended as Python 3.9 does it, its old connection is still there, and lost.
     (told,) = (await bob.unstop(ARM, number)).channels
     assert mom.DeviceAnswer(state.sender, "unstopped") in told.devices and not told.newer
-    await drives(robot, alice, "down", guard)
-    assert "drive up" not in robot.told
+    await lifts(robot, alice, 200, guard)
+    assert "lift 300" not in robot.told

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from datetime import datetime
 from pathlib import Path
-from typing import Any, AsyncIterator, Dict, List
+from typing import Any, AsyncIterator, Dict
 
 import pytest
 import pytest_asyncio
@@ -14,24 +15,33 @@ from conftest import PATIENCE, Broker, heard, state
 from fake_hub import FakeHub
 
 import mom
+from mom.device import Device, DevicePeer, verb
 from mom.stops import StopReport
 
 ARM = "/robot/arm"
 
 
-class Arm(mom.Machine):
+class Arm(Device):
+    stops_within = 50
+
     def __init__(self) -> None:
-        self.told: List[Any] = []
+        self.halts = 0
+        self.rolls = False
 
-    def halt(self, why: str) -> None:
-        self.told.append(why)
+    def halt(self) -> None:
+        self.halts += 1
 
-    def move(self, command: Any, message: mom.Message) -> None:
-        self.told.append(command)
+    def position(self) -> Dict[str, Any]:
+        # It does not measure, unless it rolls.
+        return {"x": time.monotonic()} if self.rolls else {}
+
+    @verb
+    async def drive(self) -> None:
+        await asyncio.Event().wait()
 
 
 @pytest_asyncio.fixture
-async def arm(broker: Broker) -> AsyncIterator[mom.Device]:
+async def arm(broker: Broker) -> AsyncIterator[DevicePeer]:
     """A device at the lab. What another test has stopped is let go."""
     async with broker.connect("arm", heartbeat=0.5) as client, broker.connect("alice") as alice:
         device = await client.obey(ARM, Arm())
@@ -47,12 +57,13 @@ async def eventually(condition: Any) -> None:
     await asyncio.wait_for(wait(), PATIENCE)
 
 
-async def test_one_request_stops_what_is_below_a_session(broker: Broker, arm: mom.Device) -> None:
+async def test_one_request_stops_what_is_below_a_session(broker: Broker, arm: DevicePeer) -> None:
     async with broker.connect("alice") as alice, broker.connect("bob") as bob:
         seen = (await bob.channel(ARM)).events()
         report = await alice.stop("/", reason="smoke")
         (told,) = [channel for channel in report.channels if channel.path == ARM]
-        assert told.guarded and told.devices == [mom.DeviceAnswer(arm._core.peer, "stopped")] and told.is_obeyed
+        rests = mom.DeviceAnswer(arm._core.peer, "stopped", rest="not-measured")
+        assert told.guarded and told.devices == [rests] and told.is_obeyed
         assert report.others > 0 and arm.is_stopped
         # The camera that turns has a token, and nobody there says that it stands.
         assert [channel.path for channel in report.unobeyed] == ["/camera/pan"] and not report.is_obeyed
@@ -101,28 +112,32 @@ def test_case(case: Dict[str, Any]) -> None:
 
 async def test_what_obeys_and_still_moves_does_not_stand(broker: Broker) -> None:
     class Rolling(Arm):
-        says: Dict[str, Any] = {"moving": True, "reached": True}
-
-        def state(self) -> Dict[str, Any]:
-            return self.says
+        tolerance = 0.001
 
     async with broker.connect("arm", heartbeat=0.5) as client, broker.connect("alice") as alice:
         rolling = Rolling()
-        device = await client.obey(ARM, rolling)
-        report = await alice.stop(ARM, within=0.1)
-        (told,) = report.channels
-        assert told.devices == [mom.DeviceAnswer(client.name, "stopped", moving=True)] and not report.is_obeyed
-        stopping = asyncio.ensure_future(alice.stop(ARM, within=PATIENCE / 10))
-        await eventually(lambda: device._latch.number > told.number)
-        rolling.says = {"moving": False, "reached": True, "rest": "measured"}
-        device.report()
-        report = await stopping
-        (told,) = report.channels
-        assert told.devices == [mom.DeviceAnswer(client.name, "stopped", rest="measured")] and report.is_obeyed
-        await alice.unstop(ARM, told.number)
+        await client.obey(ARM, rolling)
+        await alice.unstop(ARM, (await alice.stops(ARM)).number, within=0)
+        states = (await alice.channel(ARM)).events()
+        async with (await alice.token("/robot/token")).grab() as guard:
+            arm = await alice.channel(ARM)
+            await arm.send_acknowledged("command", "drive", fence=guard.fence)
+            while (said := await heard(states, mom.Message)).name != "status" or said.content["state"] != "executing":
+                pass
+            rolling.rolls = True
+            report = await alice.stop(ARM, within=0.1)
+            (told,) = report.channels
+            assert told.devices == [mom.DeviceAnswer(client.name, "stopped", moving=True)] and not report.is_obeyed
+            # It stands, and the stop that waits for that is answered.
+            stopping = asyncio.ensure_future(alice.stop(ARM, within=PATIENCE / 10))
+            rolling.position = lambda: {"x": 7}  # type: ignore[method-assign]
+            report = await stopping
+            (told,) = report.channels
+            assert told.devices == [mom.DeviceAnswer(client.name, "stopped", rest="measured")] and report.is_obeyed
+            await alice.unstop(ARM, told.number)
 
 
-async def test_an_unstop_of_an_older_stop_names_who_has_stopped_since(broker: Broker, arm: mom.Device) -> None:
+async def test_an_unstop_of_an_older_stop_names_who_has_stopped_since(broker: Broker, arm: DevicePeer) -> None:
     async with broker.connect("alice") as alice, broker.connect("bob") as bob:
         first = (await alice.stop(ARM)).channels[0].number
         second = (await bob.stop(ARM, reason="a hand is in it", within=0.5)).channels[0].number
@@ -141,7 +156,7 @@ async def test_an_unstop_of_an_older_stop_names_who_has_stopped_since(broker: Br
         await eventually(lambda: not arm.is_stopped)
 
 
-async def test_a_stop_of_its_own_is_in_the_books_of_the_hub(broker: Broker, arm: mom.Device) -> None:
+async def test_a_stop_of_its_own_is_in_the_books_of_the_hub(broker: Broker, arm: DevicePeer) -> None:
     async with broker.connect("bob") as bob:
         await arm.channel.thin(newest=True)
         assert [(member.peer, member.device) for member in await bob.members(ARM)] == [(arm._core.peer, True)]
@@ -166,9 +181,10 @@ async def test_who_is_stopped_while_away_comes_back_stopped(broker: Broker) -> N
         (told,) = (await alice.stop(ARM, reason="away", within=0.1)).channels
         assert told.devices == [] and not told.is_obeyed, "nobody has said that it stands"
         async with broker.connect("arm") as client:
-            device = await client.obey(ARM, machine := Arm())
+            device = await client.obey(ARM, arm := Arm())
             await eventually(lambda: device.is_stopped)
-            assert set(machine.told) == {f"stopped by {alice.name}: away"}
+            held = device.may_move()
+            assert arm.halts and held is not None and held.text == f"stopped by {alice.name}: away"
             await alice.unstop(ARM, told.number)
             assert device.may_move() is None
 

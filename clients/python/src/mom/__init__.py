@@ -3,7 +3,7 @@
 A `Client` is one peer: it connects to a hub, logs in, joins contexts and exchanges parcels there. Its proxies are a
 `Session` (a directory of contexts), a `Channel` (where messages are exchanged) and a `Token` (exclusive control of a
 device). A `TokenGuard` holds a token and renews its lease; a `FenceGate` lets a device refuse messages of earlier owners.
-A `HubClock` knows the hub's time and the `Age` of arriving parcels.
+A `HubClock` knows the hub's time and the `Age` of arriving parcels. `mom.device` makes devices of classes with verbs.
 
     import asyncio, mom
 
@@ -19,6 +19,7 @@ A lost connection is resumed where the hub gives a link: memberships, tokens and
 resumed is told by the events `LinkDown` and `Rejoined`; then tokens are lost, and contexts are joined again.
 """
 
+from . import device
 from .address import DEFAULT_PORT, Address
 from .client import Client, Connect, Consult, Consults, connect
 from .clock import Age, HubClock
@@ -72,7 +73,6 @@ from .gate import FenceGate, GuardState, StaleError
 from .core.holds import Loan, Lost
 from .latch import Held, Latch, Reaction
 from .login import Key
-from .obey import Device, Machine
 from .parcel import Parcel
 from .proxies import UNLIMITED, Channel, Given, Grab, Guard, InhibitGuard, Receipt, Session, Token, TokenGuard
 from .reports import report
@@ -102,7 +102,6 @@ __all__ = [
     "Created",
     "DEFAULT_PORT",
     "Deleted",
-    "Device",
     "DeviceAnswer",
     "Dropped",
     "DroppedError",
@@ -132,7 +131,6 @@ __all__ = [
     "LocalError",
     "Lost",
     "LostError",
-    "Machine",
     "Member",
     "Message",
     "MomError",
@@ -167,5 +165,6 @@ __all__ = [
     "Value",
     "WireError",
     "connect",
+    "device",
     "report",
 ]

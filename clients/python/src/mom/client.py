@@ -10,12 +10,12 @@ from typing import Any, AsyncIterator, Callable, Dict, Generator, Iterable, List
 
 from .address import Address
 from .clock import HubClock
-from .core import Core
+from .core import Core, Place
+from .device import Device, DevicePeer
 from .driver import Driver, Options
 from .errors import MomError
 from .events import ContextInfo, Member, Other
 from .login import Credentials, JwtSource, Key
-from .obey import Device, Machine
 from .parcel import Parcel
 from .proxies import Channel, Session, Token, pages, thinning
 from .states import LinkState, Reconnect
@@ -184,22 +184,30 @@ class Client:
         """Joins a channel, parents first.
 
         With `newest` or a `rate` the messages of others are thinned (`Channel.thin`). A `device` obeys stops there, and says so
-        after each: `obey` does all of that, `Latch` the part without a machine.
+        after each: `obey` does all of that, `Latch` the part without scripts.
         """
         terms = {**thinning(newest, rate), **({"device": True} if device else {})}
         return Channel(self._core, await self._core.enter_all(path, "channel", terms or None))
 
-    async def obey(self, path: str, machine: Machine) -> Device:
-        """Joins a channel, parents first, as a device that moves this machine, and halts it when it has to stand.
+    async def obey(self, path: str, device: Device) -> DevicePeer:
+        """Joins a channel, parents first, as this device: it carries out its owner's scripts, and halts when it has to stand.
 
         A device that may move ought to be connected with `heartbeat=0.5`: then it halts within a second when its hub is silent.
         """
+        if not isinstance(device, Device):
+            raise TypeError(f"a device is made of a class with mom.device.Device as its base, not of {device!r}")
         # From here on, since the answer to the join says how it stands.
         events = self._core.subscribers.subscribe(path)
+        place: Optional[Place] = None
         try:
-            return Device(self._core, await self.channel(path, device=True), machine, events)
+            place = await self._core.enter_all(path, "channel", {"device": {"card": device.card()}})
+            return DevicePeer(self._core, Channel(self._core, place), device, events)
         except BaseException:
             events.close()
+            if place is not None:
+                # Nothing obeys there: it must not pass for a device.
+                self._core.post(Parcel("context", "leave", path))
+                self._core.forget_within(path, "released")
             raise
 
     # Stops.
@@ -256,6 +264,10 @@ class Client:
     async def info(self, path: str) -> Dict[str, Any]:
         """Details of a context, as docs/PROTOCOL.md lists them."""
         return (await self._core.ask("context", "info", path)).map()
+
+    async def card(self, path: str) -> Optional[Dict[str, Any]]:
+        """What the device of a channel says that it can do; `None` where no device there has a card. Nothing that protects may rely on it."""
+        return (await self._core.ask("context", "info", path, {"card": True})).map().get("card")
 
     async def members(self, path: str) -> List[Member]:
         """The members of a context."""

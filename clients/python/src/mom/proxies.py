@@ -138,7 +138,8 @@ class Channel(Proxy):
         With `newest` only the newest of each sender and name waits, with a `rate` (`"5/s"`) at most so many come; without
         both, thinning ends. Guarded messages, `stop`, `unstop` and `halt` are never thinned.
         """
-        terms = {**({"device": True} if self._place.terms.get("device") else {}), **thinning(newest, rate)}
+        device = self._place.terms.get("device")
+        terms = {**({"device": device} if device else {}), **thinning(newest, rate)}
         await self._core._join(self._place, terms)
 
     @property

@@ -36,6 +36,9 @@ from ..values import now
 _REMEMBERED = 1024
 """The sent messages whose channels are known when a refusal comes."""
 
+_CARDS_SINCE = 4
+"""The minor version of the protocol from which on a hub takes cards: an earlier one refuses what it does not know."""
+
 
 class Place:
     """A context that this client is in."""
@@ -330,7 +333,11 @@ class Core:
     def _begin_join(self, place: Place, terms: Optional[Dict[str, Any]]) -> asyncio.Future[Parcel]:
         place.joining = asyncio.get_running_loop().create_future()
         self.subscribers.keep_early(place.path)
-        said = {**terms, "device": {**place.latch.word(), **self._installation}} if terms and terms.get("device") else terms
+        device = (terms or {}).get("device")
+        said = terms
+        if device:
+            word = {**place.latch.word(), **self._installation, **_card_of(device, self.welcome)}
+            said = {**(terms or {}), "device": word}
         parcel = Parcel("context", "join", place.path, said, has_content=terms is not None)
         return self.begin(parcel, lambda reply: self._take_join(place, terms, reply.map()))
 
@@ -467,3 +474,11 @@ def _paths(parcel: Parcel) -> List[str]:
 
 def _what(parcel: Parcel) -> str:
     return f"{parcel.family} {parcel.name} {parcel.context or ''}".strip()
+
+
+def _card_of(device: Any, welcome: Dict[str, Any]) -> Dict[str, Any]:
+    """What a device says of what it can do when it joins; `device` are its terms, `True` or `{card}`."""
+    protocol = welcome.get("protocol")
+    minor = protocol.get("minor") if isinstance(protocol, dict) else None
+    takes = isinstance(minor, int) and minor >= _CARDS_SINCE
+    return {"card": device["card"]} if takes and isinstance(device, dict) else {}

@@ -1,0 +1,268 @@
+"""What every device does alike: the dialogues of `tests/cases/device.txt`, over a cart on a rail."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any, Dict, List, Mapping, Optional, Tuple
+
+import pytest
+from device_stage import Stage, dialogues
+
+from mom.device import Call, Device, DeviceError, verb
+from mom.device.declared import DeclaredMachine
+from mom.device.machine import Machine
+from mom.device.script import Script
+from mom.device.words import ScriptWord, Words, read_number
+
+SPEED = 100.0
+"""mm/s."""
+HOLDS = 200_000
+"""µs for which a velocity holds."""
+END = 1000.0
+"""mm from the middle of its rail to an end."""
+
+
+class Cart(Machine):
+    """A cart on a rail that stands at once, or rolls out for a moment."""
+
+    name = "the cart"
+    verbs = ("go", "by", "jog")
+    rolls_for = 0
+    """µs for which it rolls on after a halt."""
+
+    def __init__(self) -> None:
+        self.now, self.x, self.planned = 0, 0.0, 0.0
+        self.speed, self.until = 0.0, 0
+        self.is_jogging, self.is_driven = False, False
+
+    def read(self, verb: ScriptWord, words: Words) -> Any:
+        if verb.text not in self.verbs:
+            return None
+        word = words.need(verb.text, "a number", "it")
+        number = read_number(word.text)
+        assert number is not None
+        return verb.text, number
+
+    def is_relative(self, action: Tuple[str, float]) -> Optional[bool]:
+        return action[0] == "by"
+
+    def never_waits(self, action: Tuple[str, float]) -> bool:
+        return action[0] == "jog"
+
+    def is_moving(self) -> bool:
+        return self.is_driven and self.speed != 0.0
+
+    def plan(self, script: Script) -> None:
+        planned = self.planned
+        for (word, number), place in script.actions():
+            planned = number if word == "go" else planned + number if word == "by" else planned
+            if abs(planned) > END:
+                raise DeviceError("workspace-boundary", "the rail ends before").at_statement(place)
+        self.planned = planned
+
+    def begin(self, action: Tuple[str, float], now: int) -> None:
+        self.advance(now)
+        word, number = action
+        self.is_jogging, self.is_driven = word == "jog", True
+        way = number - self.x if word == "go" else number
+        self.speed = number if word == "jog" else SPEED if way > 0 else -SPEED
+        self.until = now + (HOLDS if word == "jog" else int(abs(way) / SPEED * 1e6))
+
+    def done_at(self) -> Optional[int]:
+        return self.until
+
+    def gives_way(self) -> bool:
+        return self.is_jogging
+
+    def give_way(self, now: int) -> None:
+        # It goes on until the next one begins.
+        self.is_jogging = False
+
+    def halt(self, now: int) -> None:
+        self.advance(now)
+        if self.is_driven:
+            self.until = now + self.rolls_for
+        self.is_jogging = self.is_driven = False
+        self.advance(now)
+        self.planned = self.x
+
+    def advance(self, now: int) -> None:
+        ends = min(now, self.until)
+        self.x += self.speed * max(ends - self.now, 0) / 1e6
+        if now >= self.until:
+            self.speed, self.is_jogging, self.is_driven = 0.0, False, False
+        self.now = now
+
+    def position(self) -> Mapping[str, Any]:
+        return {"x": self.x}
+
+
+class RollingCart(Cart):
+    """It rolls on for 200 ms, and lets its statement come to its end where its token is given away."""
+
+    completes = True
+    rolls_for = 200_000
+
+
+class BlindCart(Cart):
+    """It does not measure, and waits for its stopping time. It can do nothing that a dialogue may need."""
+
+    stopping_time = 2_000_000
+    verbs = ("go",)
+
+    def measured(self, at: int) -> None:
+        return None
+
+    def plan(self, script: Script) -> None:
+        pass
+
+
+class VirtualLoop(asyncio.SelectorEventLoop):
+    """A loop whose time is that of a dialogue."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.micros = 0
+
+    def time(self) -> float:
+        return self.micros / 1e6
+
+    def settle(self) -> None:
+        """Lets all that is due happen."""
+        for _ in range(8):
+            self.call_soon(self.stop)
+            self.run_forever()
+
+    def next_due(self) -> int:
+        """When a timer is due next, in µs."""
+        timers: Any = getattr(self, "_scheduled")
+        return min((round(timer.when() * 1e6) for timer in timers if not timer.cancelled()), default=1 << 60)
+
+
+class DeclaredCart(Device):
+    """The same cart, as its author would write it."""
+
+    name = "cart"
+
+    def __init__(self) -> None:
+        self.loop = VirtualLoop()
+        self.x, self.speed, self.since, self.planned = 0.0, 0.0, 0, 0.0
+
+    def position(self) -> Dict[str, float]:
+        return {"x": self.x + self.speed * (self.loop.micros - self.since) / 1e6}
+
+    def drive(self, speed: float) -> None:
+        self.x, self.speed, self.since = self.position()["x"], speed, self.loop.micros
+
+    def halt(self) -> None:
+        self.drive(0.0)
+        self.planned = self.x
+
+    def plan(self, calls: List[Call]) -> None:
+        planned = self.planned
+        for call in calls:
+            (number,) = call.arguments.values()
+            planned = number if call.verb == "go" else planned + number if call.verb == "by" else planned
+            if abs(planned) > END:
+                raise call.error("workspace-boundary", "the rail ends before")
+        self.planned = planned
+
+    @verb
+    async def go(self, x: float) -> None:
+        await self.by(x - self.position()["x"])
+
+    @verb(relative=True)
+    async def by(self, way: float) -> None:
+        self.drive(SPEED if way > 0 else -SPEED)
+        await asyncio.sleep(abs(way) / SPEED)  # tidy: by the time of the dialogue
+        self.drive(0.0)
+
+    @verb(velocity=200)
+    def jog(self, speed: float) -> None:
+        self.drive(speed)
+
+
+class CompletingCart(DeclaredCart):
+    """It lets its statement come to its end where its token is given away."""
+
+    completes_on_give = True
+
+
+class DeclaredStage(Stage):
+    """The stage of a device that declares its verbs: their timers pass with the time of the dialogue."""
+
+    def __init__(self, machine: DeclaredMachine) -> None:
+        super().__init__(machine)
+        self.loop: VirtualLoop = machine.device.loop  # type: ignore[attr-defined]
+        asyncio.set_event_loop(self.loop)
+        machine.on_end = lambda task: self.out.extend(self.server.note(self.now, lambda _: machine.ended(task, self.now)))
+
+    def act(self, line: str) -> None:
+        self.loop.micros = self.now
+        if line.startswith("frozen"):
+            self.loop.micros += int(line.split()[1]) * 1000
+        super().act(line)
+        self.loop.settle()
+
+    def pass_time(self, ms: int) -> None:
+        until = self.now + ms * 1000
+        while True:
+            self.loop.settle()
+            due = self.server.next_wake()
+            due = min(until if due is None else due, self.loop.next_due())
+            if due >= until:
+                break
+            self.now = self.loop.micros = max(due, self.now)
+            self.out += self.server.advance(self.now)
+        self.now = self.loop.micros = until
+        self.out += self.server.advance(until)
+        self.loop.settle()
+
+
+ALL: Dict[str, Optional[str]] = {
+    "go": "go 100",
+    "back": "go 0",
+    "wrong": "og 100",
+    "beyond": "go 1001",
+    "beyond-error": "workspace-boundary 5002",
+    "relative": "by 20",
+    "velocity": "jog 50",
+}
+FEW = {key: value if key in ("go", "back", "wrong") else None for key, value in ALL.items()}
+
+
+def machine_of(kind: Any) -> Machine:
+    return DeclaredMachine(kind()) if issubclass(kind, Device) else kind()  # type: ignore[no-any-return]
+
+
+def cases(kind: Any, statements: Dict[str, Optional[str]]) -> Any:
+    machine = machine_of(kind)
+    has = {"completes": machine.completes, "halts-on-give": not machine.completes}
+    return [
+        pytest.param(kind, lines, id=f"{kind.__name__}: {title}")
+        for title, lines in dialogues(statements, lambda need: has.get(need) or bool(statements.get(need)), machine)
+    ]
+
+
+CASES = {kind: cases(kind, ALL) for kind in (Cart, RollingCart, DeclaredCart, CompletingCart)}
+CASES[BlindCart] = cases(BlindCart, FEW)
+
+
+@pytest.mark.parametrize(("kind", "lines"), [case for played in CASES.values() for case in played])
+def test_dialogue(kind: Any, lines: str) -> None:
+    if not issubclass(kind, Device):
+        Stage.at_rest(kind()).play(lines)
+        return
+    machine = DeclaredMachine(kind())
+    stage = DeclaredStage(machine)
+    try:
+        stage.comes_to_rest().play(lines)
+    finally:
+        machine.give_up()
+        stage.loop.settle()
+        stage.loop.close()
+
+
+def test_no_dialogue_is_left_out() -> None:
+    least = {Cart: 48, RollingCart: 52, DeclaredCart: 48, CompletingCart: 52, BlindCart: 42}
+    assert {kind: len(played) for kind, played in CASES.items() if len(played) < least[kind]} == {}
