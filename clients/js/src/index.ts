@@ -10,7 +10,7 @@ export { Channel, type MessageOptions, type Receipt } from "./contexts/channel.j
 export { Token, TokenGuard, InhibitGuard, Given, type GrabOptions, type GiveOptions } from "./contexts/token.js";
 export { Latch, type Held, type Turn } from "./latch.js";
 export { isObeyed, type DeviceAnswer, type DeviceWord, type StopOptions, type StopReport, type StopState, type ToldChannel } from "./stops.js";
-export { Device, type Machine } from "./contexts/obey.js";
+export type { Obeys } from "./contexts/obey.js";
 export { Consult } from "./contexts/consult.js";
 export { Key } from "./key.js";
 export { MomError, type ErrorKind } from "./error.js";

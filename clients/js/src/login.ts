@@ -29,6 +29,8 @@ export interface Welcome {
   level: number;
   link: Link | null;
   limits: { parcel: number; outbox: number; heartbeat: number; gone: number };
+  /** Whether the hub takes cards of devices. */
+  takesCards: boolean;
   content: Fields;
 }
 
@@ -151,13 +153,18 @@ export async function resume(wire: Wire, link: Link, read: Said | (() => Promise
 export function welcome(content: Fields): Welcome {
   const [peer, user] = [text(content, "peer"), text(content, "user")];
   if (peer === undefined || user === undefined) throw local("bad-content", "the hub's welcome has no peer or user");
-  return { peer, user, level: int(content, "level") ?? 0, link: linkOf(content), limits: limitsOf(content), content };
+  return { peer, user, level: int(content, "level") ?? 0, link: linkOf(content), limits: limitsOf(content), takesCards: minorOf(content) >= 4, content };
+}
+
+/** The minor version of the hub's protocol. */
+function minorOf(content: Fields): number {
+  return int(fieldsOf(content["protocol"]), "minor") ?? 0;
 }
 
 function linkOf(content: Fields): Link | null {
   const link = fieldsOf(content["link"]);
   const [id, secret, grace] = [text(link, "id"), link["secret"], int(link, "grace")];
-  const checks = (int(fieldsOf(content["protocol"]), "minor") ?? 0) >= 3;
+  const checks = minorOf(content) >= 3;
   return id !== undefined && secret instanceof Uint8Array && grace !== undefined ? { id, secret, grace, checks } : null;
 }
 

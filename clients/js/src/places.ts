@@ -2,7 +2,7 @@
 import type { Installation } from "./installation.js";
 import { Latch } from "./latch.js";
 import { type Fields, type Value, fieldsOf, int, list, text } from "./value.js";
-import type { Delivery } from "./parcel.js";
+import type { Delivery, Parcel } from "./parcel.js";
 
 /** The token that guards a channel, as far as is known. */
 export interface GuardState {
@@ -37,6 +37,16 @@ export function guardOf(told: Value | undefined, before: GuardState | null = nul
   return token === undefined ? null : { token, names: list(guard, "names").map(String), fence: int(guard, "fence") ?? 0, ...(owner === undefined ? {} : { owner }) };
 }
 
+/** Whether this guard needs its token for messages of that name; to stop and to free a device needs none. */
+function covers({ names }: GuardState, name: string): boolean {
+  return name !== "stop" && name !== "unstop" && (names.includes("*") || names.includes(name));
+}
+
+/** Whether a device may obey a message: it needs no token, has the present owner's fence, or is the safe state that the hub itself sends. */
+export function permits(guard: GuardState | null, { sender, name, fence }: Parcel): boolean {
+  return !guard || sender === "hub" || !covers(guard, name) || (guard.owner !== undefined && fence === guard.fence);
+}
+
 /** Whether a path is this context or below it. */
 export function isWithin(path: string, top: string): boolean {
   return top === "/" || path === top || path.startsWith(`${top}/`);
@@ -51,6 +61,10 @@ export function wayTo(path: string): string[] {
 export class Places {
   /** Which device this is, where it is one. */
   installation: Installation | undefined;
+  /** What the devices that this peer is can do, by their channels. */
+  readonly cards = new Map<string, Fields>();
+  /** Whether the hub takes cards: one of an earlier version refuses what it does not know. */
+  takesCards = false;
 
   readonly #all = new Map<string, Place>();
   /** What was heard of stops, also in channels that are gone: a hub that began anew without one knows no stop there. */
@@ -92,13 +106,14 @@ export class Places {
   }
 
   /** What is said when a context is joined on these terms. */
-  said(terms: Fields, latch: Latch): Fields {
-    return terms["device"] === true ? { ...terms, device: { ...latch.word(), ...this.installation } } : terms;
+  said(terms: Fields, { path, latch }: Place): Fields {
+    const card = this.cards.get(path);
+    return terms["device"] === true ? { ...terms, device: { ...latch.word(), ...this.installation, ...(this.takesCards && card ? { card } : {}) } } : terms;
   }
 
-  /** The token that guards messages of this name there; to stop and to free a device needs none. */
+  /** The token that guards messages of this name there. */
   tokenOf(path: string | undefined, name: string): string | undefined {
-    const { names, token } = this.#all.get(path ?? "")?.guard ?? {};
-    return name !== "stop" && name !== "unstop" && (names?.includes("*") || names?.includes(name)) ? token : undefined;
+    const guard = this.#all.get(path ?? "")?.guard;
+    return guard && covers(guard, name) ? guard.token : undefined;
   }
 }

@@ -1,5 +1,6 @@
 // What a program in TypeScript may rely on; `tsc` reads it against the types that are packed.
-import { Key, MomError, Time, connect, isObeyed, type Device, type Event, type LinkState, type StopState } from "../dist/types/index.js";
+import { attachment, device, number, sleep, verb, word, type Obeying } from "../dist/types/device/index.js";
+import { Key, MomError, Time, connect, isObeyed, type Event, type LinkState, type StopState } from "../dist/types/index.js";
 
 export async function drive(pem: string): Promise<number> {
   await using client = await connect("mom://127.0.0.1", { user: "arm", key: await Key.fromPem(pem), onState: (state: LinkState) => console.log(state.state) });
@@ -10,14 +11,39 @@ export async function drive(pem: string): Promise<number> {
   return delivered;
 }
 
-export async function stop(user: string): Promise<Device> {
+export async function stop(user: string): Promise<Obeying> {
   const client = await connect("mom://127.0.0.1", { user });
   const { channels, others, denied } = await client.stop("/", { reason: "smoke", within: 500 });
   const state: StopState = await client.stops("/robot/arm");
   await client.unstop("/robot", Object.fromEntries(channels.filter(isObeyed).map(({ path, number }) => [path, number])), { within: 0 });
   await client.unstop("/robot/arm", state.number);
   console.log(others, denied.length, state.since?.toDate(), channels[0]?.devices[0]?.word === "lost");
-  return client.obey("/robot/arm", { halt: (why) => console.log(why), move: async (command) => console.log(command), state: () => ({ pose: 1 }) });
+  return client.obey("/robot/arm", cart(0));
+}
+
+/** What a function gets follows from its declaration. */
+function cart(x: number): ReturnType<typeof device> {
+  return device("cart", {
+    does: "A cart on a rail",
+    stopsWithin: 500,
+    verbs: {
+      go: verb("Drives to a place", { x: number({ unit: "mm", min: -1000, max: 1000 }), ms: number({ default: 100 }) }, async (to, signal) => {
+        await sleep(to.ms, signal);
+        x = to.x;
+      }),
+      grip: verb.instant("Opens or closes", { how: word({ choices: ["open", "close"] }) }, ({ how }) => {
+        const is: "open" | "close" = how;
+        // @ts-expect-error it is one of its choices
+        const wrong: "shut" = how;
+        console.log(is, wrong);
+      }),
+      play: verb.instant("Plays a sound", { sound: attachment() }, ({ sound }) => console.log(sound.byteLength)),
+      // @ts-expect-error it has no such argument
+      turn: verb.relative("Turns", { way: number() }, ({ angle }) => console.log(angle)),
+    },
+    halt: () => console.log("halt"),
+    position: () => ({ x }),
+  });
 }
 
 function show(event: Event): void {

@@ -4,6 +4,7 @@ import { readFileSync } from "node:fs";
 import test, { after, before } from "node:test";
 import { setTimeout as sleep } from "node:timers/promises";
 import { WebSocket } from "ws";
+import { device as declare, verb } from "../dist/device.js";
 import { Time, connect, isObeyed } from "../dist/mom-client.js";
 import { FakeHub } from "./fakehub.mjs";
 import { as, startLab, until } from "./lab.mjs";
@@ -26,7 +27,8 @@ const eventually = async (holds) => {
 async function robot(t) {
   const told = [];
   const client = await open(t, "arm");
-  const device = await client.obey("/robot/arm", { halt: (why) => told.push(why), move: (command) => told.push(command) });
+  const verbs = { home: verb.instant("Says so", {}, () => told.push("home")) };
+  const device = await client.obey("/robot/arm", declare("arm", { does: "Nothing", verbs, halt: () => told.push("halt"), position: () => ({ x: 7 }) }));
   return { client, device, told };
 }
 
@@ -34,11 +36,13 @@ test("one request stops what is below a session, without joining it, and an unst
   const { client: arm, device, told } = await robot(t);
   const [alice, bob] = [await open(t, "alice"), await open(t, "bob")];
   const seen = (await bob.channel("/robot/arm")).events();
+  told.length = 0;
   const report = await alice.stop("/", { reason: "smoke" });
   const { path, number, guarded, devices } = report.channels.find((told) => told.path === "/robot/arm");
-  assert.deepEqual([guarded, devices], [true, [{ peer: arm.name, word: "stopped" }]]);
+  assert.deepEqual([guarded, devices], [true, [{ peer: arm.name, word: "stopped", rest: "measured" }]]);
   assert.ok(report.others > 0 && device.isStopped);
-  assert.match(told.at(-1), /^stopped by .*: smoke$/);
+  assert.deepEqual(told, ["halt"]);
+  assert.match(device.mayMove().text, /^stopped by .*: smoke$/);
   const stop = await until(seen, (event) => event.type === "message" && event.name === "stop");
   assert.deepEqual([stop.stop, stop.parcel.context], [number, path]);
   // A peer that asks or comes later finds out who did it and why.
@@ -86,7 +90,17 @@ test("the cases of answers", () => {
 test("what obeys and still moves does not stand, and is waited for", async (t) => {
   const client = await open(t, "arm");
   let says = { moving: true, reached: true };
-  const device = await client.obey("/robot/arm", { halt: () => undefined, move: () => undefined, state: () => says });
+  // By itself: a declared device says what it has measured.
+  const channel = await client.channel("/robot/arm", { device: true });
+  let stop = 0;
+  const report = () => channel.send("state", { ...says, stopped: stop > 0, stop }, { delivery: "latest", echo: false });
+  void (async () => {
+    for await (const event of channel.events()) {
+      if (event.type !== "message" || !/stop$/.test(event.name)) continue;
+      stop = event.name === "stop" ? event.stop : 0;
+      await report();
+    }
+  })();
   const alice = await open(t, "alice");
   const [rolling] = (await alice.stop("/robot/arm", { within: 100 })).channels;
   assert.deepEqual([rolling.devices, isObeyed(rolling)], [[{ peer: client.name, word: "stopped", moving: true }], false]);
@@ -94,10 +108,33 @@ test("what obeys and still moves does not stand, and is waited for", async (t) =
   const [unreached] = (await alice.stop("/robot/arm", { within: 100 })).channels;
   assert.deepEqual(unreached.devices, [{ peer: client.name, word: "stopped", moving: true, reached: false }]);
   const stopping = alice.stop("/robot/arm", { within: 9000 });
-  const heard = device.channel.events();
+  const heard = channel.events();
   await until(heard, (event) => event.type === "message" && event.name === "stop");
   says = { moving: false, reached: true, rest: "measured" };
-  device.report();
+  await report();
+  const [rests] = (await stopping).channels;
+  assert.deepEqual([rests.devices, isObeyed(rests)], [[{ peer: client.name, word: "stopped", rest: "measured" }], true]);
+  await alice.unstop("/robot/arm", rests.number);
+});
+
+test("a declared device that still rolls obeys, and stands when it has measured it", async (t) => {
+  const client = await open(t, "arm");
+  let [x, rolls] = [0, true];
+  const verbs = { go: verb("Drives on", {}, (_, signal) => new Promise((_, reject) => signal.addEventListener("abort", () => reject(signal.reason)))) };
+  const rolling = declare("arm", { does: "It rolls", verbs, halt: () => undefined, position: () => ({ x: rolls ? (x += 5) : x }) });
+  const device = await client.obey("/robot/arm", rolling);
+  const alice = await open(t, "alice");
+  const arm = await alice.channel("/robot/arm");
+  const guard = await (await alice.token("/robot/token")).grab();
+  rolls = false;
+  await eventually(() => device.state().rest === "measured");
+  rolls = true;
+  await arm.sendAcknowledged("command", "go", { fence: guard.fence });
+  await eventually(() => device.state().executing);
+  const [told] = (await alice.stop("/robot/arm", { within: 500 })).channels;
+  assert.deepEqual([told.devices, isObeyed(told)], [[{ peer: client.name, word: "stopped", moving: true }], false]);
+  const stopping = alice.stop("/robot/arm", { within: 9000 });
+  rolls = false;
   const [rests] = (await stopping).channels;
   assert.deepEqual([rests.devices, isObeyed(rests)], [[{ peer: client.name, word: "stopped", rest: "measured" }], true]);
   await alice.unstop("/robot/arm", rests.number);

@@ -1,6 +1,6 @@
 import type { Thinning } from "./client.js";
 import type { Delivery, Parcel } from "../parcel.js";
-import type { GuardState } from "../places.js";
+import { type GuardState, permits } from "../places.js";
 import { Joined } from "./session.js";
 import { type Fields, type Value, fieldsOf, int, list } from "../value.js";
 
@@ -86,8 +86,6 @@ export class Channel extends Joined {
    * and always to be obeyed.
    */
   permits(parcel: Parcel): boolean {
-    const guard = this.guard;
-    if (!guard || parcel.sender === "hub" || !this.client.peer.places.tokenOf(this.path, parcel.name)) return true;
-    return guard.owner !== undefined && parcel.fence === guard.fence;
+    return permits(this.guard, parcel);
   }
 }

@@ -5,7 +5,7 @@ import { Consult } from "./consult.js";
 import { asyncDispose } from "../disposal.js";
 import { type ContextInfo, type Events, type Member, contextOf, memberOf } from "../events.js";
 import { welcome } from "../login.js";
-import { Device, type Machine } from "./obey.js";
+import type { Obeys } from "./obey.js";
 import type { ConnectOptions, LinkState, Proof } from "../options.js";
 import { Peer } from "../peer/peer.js";
 import type { Parcel } from "../parcel.js";
@@ -122,14 +122,17 @@ export class Client {
     return new Channel(this, path);
   }
 
-  /** Joins a channel as a device that moves this machine, and stops it when it is told to. */
-  async obey(path: string, machine: Machine): Promise<Device> {
+  /** Joins a channel as a device, which `device` of `mom-client/device` declares; gives what it is there, such as its `report` and `leave`. */
+  async obey<Obeying>(path: string, device: Obeys<Obeying>): Promise<Obeying> {
+    device.check();
+    this.peer.places.cards.set(path, device.card());
     // From here on, since the answer to the join says how it stands.
     const events = this.peer.events(path);
     try {
-      return new Device(await this.channel(path, { device: true }), machine, events);
+      return device.start(await this.channel(path, { device: true }), events);
     } catch (error) {
       void events.return();
+      this.peer.places.cards.delete(path);
       throw error;
     }
   }
@@ -191,6 +194,11 @@ export class Client {
   /** Details of one context, by the keys of docs/PROTOCOL.md. */
   info(path: string): Promise<Fields> {
     return this.ask("context", "info", path);
+  }
+
+  /** What the device of a channel says that it can do; undefined where no device there has a card. Nothing that protects may rely on it. */
+  async card(path: string): Promise<Fields | undefined> {
+    return (await this.ask("context", "info", path, { card: true }))["card"] as Fields | undefined;
   }
 
   /** The statistics of a channel or of the channels of a session, by the keys of docs/PROTOCOL.md. */

@@ -169,7 +169,7 @@ export class Peer {
   /** A new login: all that is wanted is joined again before anything else is sent. */
   #welcomed(wire: Wire, welcome: Welcome, again: boolean): () => Promise<string> {
     [this.me, this.link, this.ledger] = [welcome, welcome.link, new Ledger()];
-    [this.outbox.most, this.outbox.parcelLimit] = [welcome.limits.outbox, welcome.limits.parcel];
+    [this.outbox.most, this.outbox.parcelLimit, this.places.takesCards] = [welcome.limits.outbox, welcome.limits.parcel, welcome.takesCards];
     this.outbox.back([]);
     const places = this.places.all();
     if (again && !places.length) this.subscribers.deliver([], { type: "rejoined" });
@@ -514,7 +514,7 @@ export class Peer {
 
   async #join(place: Place): Promise<Fields> {
     const parcel: Parcel = { family: "context", name: "join", context: place.path };
-    if (place.terms) parcel.content = this.places.said(place.terms, place.latch);
+    if (place.terms) parcel.content = this.places.said(place.terms, place);
     // From here on, since what comes right behind the answer is its first subscriber's.
     this.subscribers.keepEarly(place.path);
     const reply = fieldsOf((await this.request(parcel)).content);

@@ -1,0 +1,275 @@
+// The machine of a declared device: its functions are promises, and it knows when they are done.
+import type { Fields } from "../value.js";
+import { type Call, attachTo, readCall } from "./declare.js";
+import { DeviceError, deviceErrorOf } from "./errors.js";
+import { Machine } from "./machine.js";
+import type { Attachments, Script, Word, Words } from "./script.js";
+import type { Spec } from "./spec.js";
+
+/** One call of a verb's function. */
+interface Running {
+  readonly call: Call;
+  readonly control: AbortController;
+  /** Its function was called. */
+  started: boolean;
+  /** When its function has ended, µs. */
+  done: number | undefined;
+}
+
+/** What drives it: the time, what is done when a function has ended, and where to what goes wrong is logged. */
+export interface Driver {
+  now(): number;
+  wake(): void;
+  log(text: string, error: unknown): void;
+}
+
+/**
+ * Carries statements out by the functions of a declaration. No function begins before the one before it has ended, whatever that does
+ * with its signal. Where `halt`, `position` or `report` throw, nothing is known of the device any more: it is `broken`, is said to be out
+ * of reach, and takes no command.
+ */
+export class DeclaredMachine extends Machine<Call> {
+  override readonly name: string;
+  override readonly verbs: readonly string[];
+  override readonly stoppingTime: number;
+  override readonly tolerance: number;
+  override readonly completes: boolean;
+  /** Why nothing is known of it. */
+  broken: { error: unknown } | undefined;
+  #now = 0;
+  #current: Running | undefined;
+  /** The calls whose functions have not ended, and one that waits for them. */
+  readonly #unsettled = new Set<Running>();
+  /** Until when what was told to end has to, as another function waits for it. */
+  #patient: number | undefined;
+  /** A velocity goes on until the command begins that it has given way to; since when. */
+  #yielding: number | undefined;
+  #failure: DeviceError | undefined;
+  #position: Fields = {};
+  #report: Fields = {};
+
+  constructor(
+    readonly spec: Spec,
+    name: string,
+    readonly driver: Driver,
+  ) {
+    super();
+    this.name = `the ${name}`;
+    this.verbs = Object.keys(spec.verbs);
+    this.stoppingTime = Math.round((spec.stopsWithin ?? 1000) * 1000);
+    this.tolerance = spec.tolerance ?? 1;
+    this.completes = spec.completesOnGive ?? false;
+    // It may not do what is known of it.
+    this.#brake();
+  }
+
+  // What its scripts say.
+
+  override read(verb: Word, words: Words): Call | undefined {
+    const found = Object.hasOwn(this.spec.verbs, verb.text) ? this.spec.verbs[verb.text] : undefined;
+    return found && readCall(found, verb, words);
+  }
+
+  override attach(call: Call, attachments: Attachments): Call {
+    return attachTo(call, attachments);
+  }
+
+  override isRelative({ verb: { kind } }: Call): boolean | undefined {
+    return kind === "instant" ? undefined : kind === "relative";
+  }
+
+  override neverWaits({ verb: { kind } }: Call): boolean {
+    return kind === "velocity";
+  }
+
+  override plan(script: Script<Call>): void {
+    if (this.broken) throw new DeviceError("link", `${this.name} has failed, and takes no command`);
+    const statements = script.actions().map(([{ name, values }, statement]) => ({ verb: name, args: values, statement }));
+    try {
+      atOnce(this.spec.plan?.(statements));
+    } catch (error) {
+      if (!(error instanceof DeviceError)) this.driver.log("its plan failed", error);
+      throw deviceErrorOf("its plan", error);
+    }
+  }
+
+  // What it does.
+
+  override isMoving(): boolean {
+    return this.#yielding !== undefined || [...this.#unsettled].some(({ call }) => call.verb.kind !== "instant");
+  }
+
+  override isAtRest(): boolean {
+    return this.#yielding === undefined && this.#unsettled.size === 0;
+  }
+
+  override isReached(): boolean {
+    return !this.broken;
+  }
+
+  override begin(call: Call, now: number): void {
+    this.#now = now;
+    if (this.#yielding !== undefined && call.verb.kind !== "velocity") this.#brake();
+    this.#yielding = undefined;
+    if (this.broken) throw new DeviceError("link", `${this.name} has failed`);
+    const running: Running = { call, control: new AbortController(), started: false, done: undefined };
+    // However many wait one after the other, what is to end has its time once.
+    const patient = this.#patient ?? now + this.patience;
+    this.#forgetUnbegun();
+    this.#current = running;
+    this.#unsettled.add(running);
+    // Two functions would both drive it.
+    if (this.#unsettled.size > 1) this.#patient = patient;
+    else this.#start(running);
+  }
+
+  /** What waits for another function to end has not begun, and never will. */
+  #forgetUnbegun(): void {
+    this.#patient = undefined;
+    for (const running of this.#unsettled) if (!running.started) this.#unsettled.delete(running);
+  }
+
+  #start(running: Running): void {
+    const { call, control } = running;
+    this.#patient = undefined;
+    running.started = true;
+    try {
+      const act = call.verb.act as (values: Call["values"], signal: AbortSignal) => unknown;
+      const acts = act.call(this.spec, call.values, control.signal);
+      if (!isPromise(acts)) return this.#settle(running);
+      acts.then(
+        () => this.#ended(running),
+        (error: unknown) => this.#ended(running, { error }),
+      );
+    } catch (error) {
+      this.#settle(running, { error });
+    }
+  }
+
+  /** A promise of a function has ended. */
+  #ended(running: Running, thrown?: { error: unknown }): void {
+    this.#now = Math.max(this.#now, this.driver.now());
+    this.#settle(running, thrown);
+    this.driver.wake();
+  }
+
+  #settle(running: Running, thrown?: { error: unknown }): void {
+    const { call, control } = running;
+    this.#unsettled.delete(running);
+    running.done = this.#now;
+    if (!control.signal.aborted) {
+      if (thrown) this.#fail(call, thrown.error);
+      // Its time is over, and nobody else halts what it has begun.
+      else if (call.verb.kind === "velocity") this.#brake();
+    } else if (thrown && thrown.error !== control.signal.reason && !isAbort(thrown.error)) {
+      this.driver.log(`\`${call.name}\` failed after it was to end`, thrown.error);
+    }
+    const [next] = this.#unsettled;
+    if (next && !next.started) this.#start(next);
+  }
+
+  #fail(call: Call, error: unknown): void {
+    this.driver.log(`\`${call.name}\` failed`, error);
+    this.#failure ??= deviceErrorOf(`\`${call.name}\``, error);
+  }
+
+  override doneAt(): number | undefined {
+    return this.#current && !this.#failure ? this.#current.done : undefined;
+  }
+
+  override takeFailure(): DeviceError | undefined {
+    const failure = this.#failure;
+    this.#failure = undefined;
+    return failure;
+  }
+
+  override givesWay(): boolean {
+    const { call, control, done } = this.#current ?? {};
+    return call?.verb.kind === "velocity" && done === undefined && !control!.signal.aborted;
+  }
+
+  /** The velocity that begins next goes on from its speed; before anything else it is halted. */
+  override giveWay(now: number): void {
+    this.#now = now;
+    this.#current?.control.abort(new DOMException("it gives way to the next command", "AbortError"));
+    this.#yielding = now;
+  }
+
+  override halt(now: number): void {
+    this.#now = now;
+    for (const { control } of this.#unsettled) control.abort(new DOMException("the device is halted", "AbortError"));
+    this.#forgetUnbegun();
+    [this.#current, this.#failure] = [undefined, undefined];
+    this.#brake();
+  }
+
+  /** Has it stand. */
+  #brake(): void {
+    this.#yielding = undefined;
+    this.#known("halt", () => {
+      const halts: unknown = this.spec.halt();
+      if (isPromise(halts)) halts.then(undefined, (error: unknown) => (this.#break("halt", error), this.driver.wake()));
+    });
+  }
+
+  override advance(now: number): void {
+    this.#now = Math.max(this.#now, now);
+    // What it has given way to did not move it, such as a `wait`.
+    if (this.#yielding !== undefined && now > this.#yielding) this.#brake();
+    if (this.#patient !== undefined && now >= this.#patient && this.#current) {
+      this.#patient = undefined;
+      this.#failure ??= new DeviceError("link", `\`${this.#current.call.name}\` could not begin: what was to end before it goes on`);
+    }
+  }
+
+  override nextWake(): number | undefined {
+    return this.#yielding === undefined ? this.#patient : this.#yielding + 1;
+  }
+
+  // How it stands.
+
+  override position(): Fields {
+    this.#known("position", () => {
+      const position = atOnce(this.spec.position());
+      for (const [key, value] of Object.entries(position)) if (typeof value !== "number") throw new TypeError(`${key} is not a number`);
+      this.#position = { ...position };
+    });
+    return this.#position;
+  }
+
+  override report(): Fields {
+    this.#known("report", () => (this.#report = { ...atOnce(this.spec.report?.()) }));
+    return this.#report;
+  }
+
+  /** Does what must not fail. */
+  #known(what: string, act: () => void): void {
+    try {
+      act();
+    } catch (error) {
+      this.#break(what, error);
+    }
+  }
+
+  #break(what: string, error: unknown): void {
+    if (this.broken) return;
+    this.broken = { error };
+    this.#failure ??= deviceErrorOf(`its ${what}`, error);
+    this.driver.log(`its ${what} failed, and it obeys no more`, error);
+  }
+}
+
+function isPromise(value: unknown): value is PromiseLike<unknown> {
+  return typeof (value as PromiseLike<unknown> | undefined)?.then === "function";
+}
+
+/** What has to be known at once. */
+function atOnce<T>(value: T): T {
+  if (!isPromise(value)) return value;
+  value.then(undefined, () => undefined);
+  throw new TypeError("it gives a promise, and has to be known at once");
+}
+
+function isAbort(error: unknown): boolean {
+  return (error as Error | undefined)?.name === "AbortError";
+}

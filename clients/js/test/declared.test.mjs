@@ -1,0 +1,316 @@
+// A declared device: what every device does alike, its scripts, its card, and what it does where its functions fail.
+import assert from "node:assert/strict";
+import test from "node:test";
+import { DeclaredMachine, DeviceError, attachment, device, number, readScript, verb, whole, word } from "../dist/test/internals.js";
+import { Stage, check, replay } from "./stage.mjs";
+
+/** mm/s. */
+const SPEED = 100;
+
+/** A rail with a cart, and a clock that its machine moves. */
+class Rail {
+  now = 0;
+  x = 0;
+  speed = 0;
+  planned = 0;
+  told = [];
+  #timers = [];
+
+  /** Rejects when the signal is aborted. */
+  sleep(micros, signal) {
+    return new Promise((resolve, reject) => {
+      const timer = { due: this.now + Math.round(micros), resolve };
+      this.#timers.push(timer);
+      signal.addEventListener("abort", () => {
+        this.#timers = this.#timers.filter((other) => other !== timer);
+        reject(signal.reason);
+      });
+    });
+  }
+
+  get due() {
+    return this.#timers.length ? Math.min(...this.#timers.map(({ due }) => due)) : undefined;
+  }
+
+  advance(now) {
+    this.x += (this.speed * Math.max(0, now - this.now)) / 1e6;
+    this.now = Math.max(now, this.now);
+    for (const { due, resolve } of this.#timers) if (due <= now) resolve();
+    this.#timers = this.#timers.filter(({ due }) => due > now);
+  }
+
+  async drive(way, signal) {
+    this.speed = SPEED * Math.sign(way);
+    await this.sleep((Math.abs(way) / SPEED) * 1e6, signal);
+    this.speed = 0;
+  }
+}
+
+/** A declaration of the cart on this rail, with what is changed of it. */
+function specOf(rail, more = {}) {
+  return {
+    does: "A cart on a rail",
+    verbs: {
+      go: verb("Drives to a place", { x: number({ unit: "mm" }) }, ({ x }, signal) => rail.drive(x - rail.x, signal)),
+      by: verb.relative("Drives so far", { way: number({ unit: "mm", min: -100, max: 100 }) }, ({ way }, signal) => rail.drive(way, signal)),
+      jog: verb.velocity("Drives so fast", { speed: number({ unit: "mm/s" }) }, async ({ speed }, signal) => {
+        rail.speed = speed;
+        await rail.sleep(200_000, signal);
+      }),
+      beep: verb.instant("Says so", { times: whole({ min: 1, max: 3, default: 1 }) }, ({ times }) => rail.told.push(`beep ${times}`)),
+      grip: verb("Opens or closes", { how: word({ choices: ["open", "close"] }) }, ({ how }) => rail.told.push(how)),
+      play: verb.instant("Plays a sound", { sound: attachment() }, ({ sound }) => rail.told.push(`${sound.length} bytes`)),
+    },
+    halt() {
+      rail.told.push("halt");
+      [rail.speed, rail.planned] = [0, rail.x];
+    },
+    position: () => ({ x: rail.x }),
+    plan(statements) {
+      for (const { verb, args } of statements) {
+        const planned = { go: args.x, by: rail.planned + args.way }[verb] ?? rail.planned;
+        if (Math.abs(planned) > 1000) throw new DeviceError("workspace-boundary", "the rail ends before");
+        rail.planned = planned;
+      }
+    },
+    ...more,
+  };
+}
+
+/** Its machine, by the clock of its rail. */
+class RailMachine extends DeclaredMachine {
+  constructor(rail, more, logged = []) {
+    super(specOf(rail, more), "cart", { now: () => rail.now, wake: () => undefined, log: (text) => logged.push(text) });
+    Object.assign(this, { rail, logged });
+  }
+
+  advance(now) {
+    this.rail.advance(now);
+    super.advance(now);
+  }
+
+  nextWake() {
+    const wakes = [super.nextWake(), this.rail.due].filter((due) => due !== undefined);
+    return wakes.length ? Math.min(...wakes) : undefined;
+  }
+}
+
+const machine = (more) => new RailMachine(new Rail(), more);
+const settings = { settles: true };
+const STATEMENTS = { go: "go 100", back: "go 0", wrong: "og 100", beyond: "go 1001", "beyond-error": "workspace-boundary 5002", relative: "by 20", velocity: "jog 50" };
+
+test("a declared cart does what every device does", async () => {
+  const played = await replay(() => machine(), STATEMENTS, settings);
+  assert.ok(played >= 48, `${played} dialogues`);
+});
+
+test("a declared cart that completes its statement does so too", async () => {
+  const played = await replay(() => machine({ completesOnGive: true }), STATEMENTS, settings);
+  assert.ok(played >= 52, `${played} dialogues`);
+});
+
+const refusal = (script) => {
+  try {
+    return readScript(script, machine());
+  } catch (error) {
+    return error.content();
+  }
+};
+
+test("what is wrong in a script is told by its statement, its argument, the range and the nearest verb", () => {
+  for (const [script, text, more = {}] of [
+    ["wait 1; og 5", "statement 2: there is no `og`; did you mean `go`?", { nearest: "go", position: 8, line: 1, column: 9 }],
+    ["go", "statement 1: `go` takes x; x is missing"],
+    ["go far", "statement 1: x is a number (mm), not `far`"],
+    ["by 101", "statement 1: way is a number from -100 to 100 (mm), not `101`"],
+    ["wait 1\nbeep 1.5", "statement 2: times is a whole number from 1 to 3, not `1.5`", { line: 2, column: 6 }],
+    ["beep 1 2", "statement 1: `beep` ends before `2`; is a `;` or a new line missing?"],
+    ["grip clos", "statement 1: how is one of open, close, not `clos`; did you mean `close`?", { nearest: "close" }],
+    ["play horn", "statement 1: `horn` did not come with the script: it has no attachments"],
+    ["toString", "statement 1: there is no `toString`; did you mean `grip`?"],
+    ["wait 60001", "statement 1: `wait` takes a whole number of ms from 0 to 60000, not `60001`"],
+    ["# nothing", "the script has no statement", { position: 0 }],
+    [" ".repeat(65_537), "the script has 65537 bytes, at most 65536 are read"],
+    ["beep;".repeat(1001), "the script has more than 1000 statements"],
+  ]) {
+    const content = refusal(script);
+    assert.deepEqual([content.name, content.code], ["syntax", 5001], script);
+    if (script !== "toString") assert.match(content.text, new RegExp(`${text.replace(/[.?*+^$()[\]]/g, "\\$&")}$`));
+    for (const [key, value] of Object.entries(more)) assert.equal(content[key], value, `${script}: ${key}`);
+  }
+});
+
+test("a function gets what its declaration says, and bytes for an attachment", async () => {
+  const cart = machine();
+  const stage = await Stage.of(cart, settings);
+  const content = { script: "beep; beep 3; grip open; play horn # so", attachments: { horn: new Uint8Array(7) } };
+  const parcel = { family: "message", name: "command", sender: "alice", context: "/robot/arm", id: 1, fence: 5, content };
+  await stage.tell({ type: "message", name: "command", sender: "alice", content, history: false, parcel });
+  await stage.act("ends");
+  assert.deepEqual(cart.rail.told.filter((word) => word !== "halt"), ["beep 1", "beep 3", "open", "7 bytes"]);
+});
+
+test("the card says what it can do, and nothing that says nothing", () => {
+  const rail = new Rail();
+  const state = { x: number({ unit: "mm", does: "Where it is" }) };
+  const card = device("cart", specOf(rail, { stopsWithin: 500, state, cameras: ["/camera/x"] })).card();
+  assert.deepEqual(card, {
+    card: 1,
+    name: "cart",
+    does: "A cart on a rail",
+    verbs: [
+      { name: "go", does: "Drives to a place", args: [{ name: "x", type: "number", unit: "mm" }], moves: true },
+      { name: "by", does: "Drives so far", args: [{ name: "way", type: "number", unit: "mm", min: -100, max: 100 }], moves: true, relative: true },
+      { name: "jog", does: "Drives so fast", args: [{ name: "speed", type: "number", unit: "mm/s" }], moves: true, velocity: true },
+      { name: "beep", does: "Says so", args: [{ name: "times", type: "whole", min: 1, max: 3, default: 1 }], moves: false },
+      { name: "grip", does: "Opens or closes", args: [{ name: "how", type: "word", choices: ["open", "close"] }], moves: true },
+      { name: "play", does: "Plays a sound", args: [{ name: "sound", type: "attachment" }], moves: false },
+    ],
+    state: [{ name: "x", type: "number", unit: "mm", does: "Where it is" }],
+    "stops-within": 500,
+    "on-loss": "halt",
+    cameras: ["/camera/x"],
+  });
+});
+
+test("a device without a halt or a position is refused when it is made, and so are verbs that no script could name", () => {
+  const rail = new Rail();
+  const none = () => undefined;
+  for (const [more, why] of [
+    [{ halt: undefined }, /no function `halt`/],
+    [{ position: undefined }, /no function `position`/],
+    [{ verbs: { wait: verb("Waits", {}, none) } }, /wait/],
+    [{ verbs: { "go on": verb("Goes on", {}, none) } }, /go on/],
+    [{ verbs: { go: verb("Goes", { 1: number() }, none) } }, /argument of `go`/],
+    [{ verbs: { go: verb("Goes", { x: number({ default: 1 }), y: number() }, none) } }, /y needs a default/],
+    [{ verbs: { go: verb("Goes", {}, "no function") } }, /`go` has no function/],
+  ]) {
+    assert.throws(() => device("cart", specOf(rail, more)), why);
+  }
+});
+
+/** What is said from here on. */
+const plays = (stage, dialogue) => check(stage, "declared", dialogue);
+
+test("a function that fails ends its command, halts, and is logged", async () => {
+  for (const [thrown, error] of [[new Error("no power"), "link 5003"], [new DeviceError("battery", "it is empty"), "battery 5111"]]) {
+    let cart;
+    const fails = {
+      go: verb("Fails", {}, async (_, signal) => {
+        await cart.rail.sleep(1000, signal);
+        throw thrown;
+      }),
+      now: verb("Fails at once", {}, () => {
+        throw thrown;
+      }),
+    };
+    for (const name of Object.keys(fails)) {
+      cart = machine({ verbs: fails });
+      const stage = await Stage.of(cart, settings);
+      cart.rail.told = [];
+      await stage.act(`alice command 1 5: ${name}; wait 5`);
+      await stage.act("alice command 2 5: wait 5");
+      await stage.act("ends");
+      assert.deepEqual(stage.heard().filter((line) => / error /.test(line)), [`status alice/1 error 1/2 ${error}`, ...(name === "go" ? ["status alice/2 error 0/1 halted 5101"] : [])]);
+      assert.ok(cart.rail.told.includes("halt"));
+      assert.deepEqual(cart.logged, [`\`${name}\` failed`]);
+    }
+  }
+});
+
+test("a signal is aborted before the device is halted, and no function begins before the one before it has ended", async () => {
+  const told = [];
+  let let1End;
+  const verbs = {
+    go: verb("Ends late", { n: whole() }, ({ n }, signal) => {
+      told.push(`go ${n}`);
+      signal.addEventListener("abort", () => told.push(`abort ${n}`));
+      return new Promise((resolve) => {
+        if (n === 1) let1End = resolve;
+      });
+    }),
+  };
+  const cart = machine({ verbs, halt: () => told.push("halt") });
+  const stage = await Stage.of(cart, settings);
+  told.length = 0;
+  await plays(stage, `alice command 1 5: go 1
+    > status alice/1 waiting 0/1
+    > status alice/1 executing 1/1
+    hub halt
+    > state free moving
+    > status alice/1 error 1/1 halted 5101
+    after 5000
+    > state free moving
+    alice command 2 5: go 2
+    > status alice/2 waiting 0/1
+    > status alice/2 executing 1/1`);
+  assert.deepEqual(told, ["go 1", "abort 1", "halt"]);
+  let1End();
+  await stage.settle();
+  assert.deepEqual(told, ["go 1", "abort 1", "halt", "go 2"]);
+  // And where it does not end at all, the next one fails.
+  await stage.act("hub halt");
+  stage.heard();
+  await plays(stage, `alice command 3 5: go 3
+    > status alice/3 waiting 0/1
+    > status alice/3 executing 1/1
+    after 1000
+    > state free moving
+    > status alice/3 error 1/1 link 5003`);
+  assert.deepEqual(told.slice(4), ["abort 2", "halt", "halt"]);
+});
+
+test("a velocity is halted at its end and before anything else, and goes on into the next one", async () => {
+  const cart = machine();
+  const stage = await Stage.of(cart, settings);
+  cart.rail.told = [];
+  await stage.act("alice command 1 5: jog 50");
+  await stage.act("after 100");
+  await stage.act("alice command 2 5: jog 70");
+  assert.deepEqual([cart.rail.told, cart.rail.speed], [[], 70]);
+  await stage.act("ends");
+  assert.deepEqual([cart.rail.told, cart.rail.speed], [["halt"], 0]);
+  await stage.act("alice command 3 5: jog 50");
+  await stage.act("alice command 4 5: wait 100");
+  await stage.act("after 1");
+  assert.deepEqual([cart.rail.told, cart.rail.speed], [["halt", "halt"], 0]);
+  await stage.act("ends");
+  await stage.act("alice command 5 5: jog 50");
+  await stage.act("alice command 6 5: go 100");
+  assert.deepEqual([cart.rail.told.length, cart.rail.speed], [3, SPEED]);
+});
+
+test("what has to be known at once must not be a promise", async () => {
+  const cart = machine({ position: async () => ({ x: 1 }) });
+  assert.deepEqual([cart.position(), cart.isReached(), cart.logged.length], [{}, false, 1]);
+  const planner = machine({ plan: async () => Promise.reject(new Error("late")) });
+  const stage = await Stage.of(planner, settings);
+  await plays(stage, `alice command 1 5: go 5
+    > status alice/1 error 0/0 link 5003`);
+});
+
+test("where its halt or its position fails nothing is known of it any more, and it takes no command", async () => {
+  for (const method of ["halt", "position", "report"]) {
+    let fails = false;
+    const rail = new Rail();
+    const well = specOf(rail, { report: () => ({}) });
+    const breaks = () => {
+      if (fails) throw new Error("no bus");
+      return well[method]();
+    };
+    const cart = new RailMachine(rail, { report: () => ({}), [method]: breaks });
+    const stage = await Stage.of(cart, settings);
+    await stage.act("alice command 1 5: go 100");
+    await stage.act("after 100");
+    fails = true;
+    await stage.act("hub halt");
+    await stage.act("after 2000");
+    assert.equal(cart.broken.error.message, "no bus");
+    assert.deepEqual(cart.logged, [`its ${method} failed, and it obeys no more`]);
+    const state = stage.server.state();
+    assert.deepEqual([state.reached, state.moving, state.rest, state.executing], [false, true, undefined, undefined], method);
+    stage.heard();
+    await stage.act("alice command 2 5: go 0");
+    assert.deepEqual(stage.heard(), ["status alice/2 error 0/0 link 5003"]);
+  }
+});
