@@ -7,6 +7,23 @@ use clap::Args;
 
 use mom_pages::duration;
 
+/// `mom card`
+#[derive(Args, Debug)]
+pub(crate) struct CardArgs {
+    /// The device's channel
+    #[arg(default_value = "/robot/arm")]
+    pub(crate) channel: String,
+}
+
+pub(super) const CARD: &str = "\
+A device says at its join what its statements are, which of them move it, and what its state tells. It is the
+same as mom help CHANNEL.
+
+Examples:
+  mom card
+  mom card /camera/pan
+  mom card --json | jq .verbs";
+
 /// `mom run`
 #[derive(Args, Debug)]
 pub(crate) struct RunArgs {
@@ -24,7 +41,7 @@ pub(crate) struct RunArgs {
     /// Go on with the next command after one that failed
     #[arg(long, short)]
     pub(crate) keep_going: bool,
-    /// Send the lines without checking them first; for robots that speak another language
+    /// Send the lines without checking them first by the device's card
     #[arg(long)]
     pub(crate) no_check: bool,
     /// Print what a controller of the real arm would be told for each command
@@ -40,9 +57,8 @@ pub(crate) enum Shown {
 }
 
 pub(super) const RUN: &str = "\
-Statements, separated by ; on a line, in mm and degrees from the middle of the table:
-  move X Y Z SPIN TILT    grip open    grip close    wait MS    home    reset
-  jog VX VY VZ VSPIN VTILT [MS], alone on its line, in mm/s and degrees/s
+Statements are separated by ; on a line. Which there are, the device says: mom card CHANNEL. Every device has
+  wait MS
 
 Examples:
   mom run pick.script
@@ -50,6 +66,7 @@ Examples:
   mom run --json pick.script | jq .state
   mom run --show rapid pick.script
   mom run --zone /zone/left --zone /zone/middle pick.script
+  mom run --channel /camera/pan --token /camera/pan-token look.script
 
 Ctrl-C releases the token; the hub then halts the robot.";
 

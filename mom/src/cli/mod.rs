@@ -26,8 +26,8 @@ use self::contexts::{CREATE, DELETE};
 pub(crate) use self::parse::parse;
 
 use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, INHIBIT, INVITE, MANAGE, REQUEST, TOKEN};
-use self::drive::{JOG, RUN, TRACE};
-pub(crate) use self::drive::{JogArgs, RunArgs, TraceArgs};
+use self::drive::{CARD, JOG, RUN, TRACE};
+pub(crate) use self::drive::{CardArgs, JogArgs, RunArgs, TraceArgs};
 use self::look::{LOGS, TOP};
 use self::stop::{STOP, UNSTOP};
 
@@ -135,7 +135,10 @@ pub(crate) enum Command {
     /// Answer the hub's questions where you have the chair
     #[command(after_help = MANAGE)]
     Manage(ManageArgs),
-    /// Drive the robot by a script: grab its token, run the commands, release it
+    /// Show what a device can do, by its own card
+    #[command(after_help = CARD)]
+    Card(CardArgs),
+    /// Drive a device by a script: grab its token, run the commands, release it
     #[command(after_help = RUN)]
     Run(RunArgs),
     /// Follow one command from here to the robot and back, with the time of each step

@@ -1,5 +1,7 @@
 //! Reads the command line, with the path of the hub's address.
 
+use std::ffi::OsString;
+
 use clap::{Command, CommandFactory as _, FromArgMatches as _};
 use mom_client::Address;
 
@@ -21,9 +23,22 @@ pub(crate) fn parse() -> Cli {
         None => Cli::command(),
     };
     let cli = command
-        .try_get_matches_from_mut(std::env::args_os())
+        .try_get_matches_from_mut(asks_a_device(std::env::args_os()))
         .and_then(|matches| Cli::from_arg_matches(&matches));
     cli.unwrap_or_else(|error| error.format(&mut command).exit())
+}
+
+/// `mom help /robot/arm` asks the device, as `mom card /robot/arm` does: no command has such a name.
+fn asks_a_device(args: impl Iterator<Item = OsString>) -> Vec<OsString> {
+    let mut args: Vec<OsString> = args.collect();
+    let is_path = |word: &OsString| word.to_string_lossy().starts_with('/');
+    if let Some(at) = args.iter().position(|word| word == "help")
+        && args.get(at + 1).is_some_and(is_path)
+        && let Some(help) = args.get_mut(at)
+    {
+        *help = "card".into();
+    }
+    args
 }
 
 /// The same commands, about this place if none is given.

@@ -18,6 +18,7 @@ pub(crate) async fn run(args: &cli::AimArgs, global: &GlobalArgs, output: Output
         token: &args.token,
         zones: &[],
         keep_going: false,
+        checked: None,
         shown: None,
     };
     errand.run(&[ScriptLine::alone(text)], global, output).await

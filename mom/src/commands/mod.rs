@@ -6,6 +6,7 @@ mod asking;
 mod audit;
 mod break_hold;
 mod camera;
+mod card;
 mod chat;
 mod create;
 mod decline;
@@ -73,6 +74,7 @@ pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Invite(args) => invite::run(args, global, output).await,
         Command::Expel(args) => expel::run(args, global, output).await,
         Command::Manage(args) => manage::run(args, global, output).await,
+        Command::Card(args) => card::run(args, global, output).await,
         Command::Run(args) => run::run(args, global, output).await,
         Command::Trace(args) => trace::run(args, global, output).await,
         Command::Jog(args) => jog::run(args, global, output).await,

@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use mom_arm::{ArmState, CommandState, Pose, Script, Status, pose, rapid};
 use mom_client::{
-    BASED_ON, Channel, Client, Event, Events, Family, Lost, Parcel, Path, Token, TokenGuard, Value,
-    from_value,
+    BASED_ON, Card, Channel, Client, ClientError, Event, Events, Family, Lost, Parcel, Path, Token,
+    TokenGuard, Value, from_value,
 };
 use mom_device::ErrorName;
 use serde_json::json;
@@ -41,6 +41,7 @@ pub(crate) async fn run(args: &cli::RunArgs, global: &GlobalArgs, output: Output
         token: &args.token,
         zones: &args.zones,
         keep_going: args.keep_going,
+        checked: (!args.no_check).then(|| name(args)),
         shown: args.show.map(|_| pose::HOME),
     };
     errand.run(&read(args)?, global, output).await
@@ -58,6 +59,8 @@ pub(super) struct Errand<'a> {
     pub(super) zones: &'a [String],
     /// Whether the next command is sent after one that failed.
     pub(super) keep_going: bool,
+    /// Where the commands stand, if they are checked by the device's card before the first of them is sent.
+    pub(super) checked: Option<String>,
     /// Where the arm is taken to be first, if it is to be shown what a controller would be told.
     pub(super) shown: Option<Pose>,
 }
@@ -73,6 +76,10 @@ impl Errand<'_> {
         let device = self.device;
         let client = connect(global, Stay::Driving).await?;
         let mut interrupt = Interrupt::install()?;
+        let card = card_of(&client, self.channel).await?;
+        if let (Some(name), Some(card)) = (&self.checked, &card) {
+            script::check(name, commands, card)?;
+        }
         let (channel, token, mut guard) = drive(&client, self.channel, self.token).await?;
         let events = channel.events();
         let zones = grab_zones(&client, self.zones).await?;
@@ -90,6 +97,7 @@ impl Errand<'_> {
             keep_going: self.keep_going,
             fence: guard.fence(),
             newest: None,
+            card,
             shown: self.shown,
             output,
         };
@@ -115,6 +123,16 @@ impl Errand<'_> {
         let outcome = result?;
         released?;
         outcome.tell(commands.len(), &self, output)
+    }
+}
+
+/// What the device of a channel says that it can do; none where it says nothing, or there is no such channel.
+async fn card_of(client: &Client, channel: &str) -> Result<Option<Card>, Failure> {
+    match client.card(channel).await {
+        Ok(card) => Ok(card.map(|(_, card)| card)),
+        // To join the channel says more.
+        Err(ClientError::Refused(_)) => Ok(None),
+        Err(error) => Err(error).doing(format!("read the card of the device in {channel}")),
     }
 }
 
@@ -156,7 +174,7 @@ fn read(args: &cli::RunArgs) -> Result<Vec<ScriptLine>, Failure> {
             "name a file of commands, or - for standard input",
         )
     })?;
-    let name = if file == "-" { "standard input" } else { &*file };
+    let name = name(args);
     let commands = script::commands(&text);
     if commands.is_empty() {
         return Err(Failure::usage(
@@ -164,10 +182,17 @@ fn read(args: &cli::RunArgs) -> Result<Vec<ScriptLine>, Failure> {
             "write one command per line, such as: move 100 50 200 0 0; grip close",
         ));
     }
-    if !args.no_check {
-        script::check(name, &commands)?;
-    }
     Ok(commands)
+}
+
+/// Where the commands of `mom run` stand.
+fn name(args: &cli::RunArgs) -> String {
+    let file = args.script.to_string_lossy();
+    if file == "-" {
+        "standard input".to_owned()
+    } else {
+        file.into_owned()
+    }
 }
 
 /// The outcome of the commands.
@@ -226,6 +251,8 @@ struct Job {
     /// The robot's peer, once it has answered.
     robot: Option<String>,
     keep_going: bool,
+    /// What it says that it can do.
+    card: Option<Card>,
     /// That of the token.
     fence: u64,
     /// The id of the newest state.
@@ -392,9 +419,10 @@ impl Job {
 
     /// Sends a command and gives its id.
     async fn send(&mut self, command: &ScriptLine) -> Result<u64, Failure> {
-        let based_on = match script::is_relative(&command.text) {
-            true => i64::try_from(self.newest_state().await?).ok(),
-            false => None,
+        let read = |card| mom_device::check_by_card(card, &command.text);
+        let based_on = match self.card.as_ref().map(read) {
+            Some(Ok(script)) if script.relative => i64::try_from(self.newest_state().await?).ok(),
+            _ => None,
         };
         let mut parcel = Parcel::new(Family::Message, "command")
             .context(self.channel.clone())

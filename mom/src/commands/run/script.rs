@@ -1,7 +1,7 @@
 //! A script file: each line is one command.
 
-use mom_arm::Script;
-use mom_camera::pan::Mount;
+use mom_client::Card;
+use mom_device::check_by_card;
 
 use crate::failure::Failure;
 
@@ -44,18 +44,12 @@ pub(super) fn commands(text: &str) -> Vec<ScriptLine> {
         .collect()
 }
 
-/// Whether a command is right in one place only, in whichever language of the lab's devices it is written.
-pub(super) fn is_relative(text: &str) -> bool {
-    let arm = text.parse::<Script>().is_ok_and(|script| script.is_relative());
-    arm || Mount::script(text).is_ok_and(|script| script.is_relative::<Mount>())
-}
-
-/// Checks that the arm can read every command, before the first of them moves anything.
-pub(super) fn check(file: &str, commands: &[ScriptLine]) -> Result<(), Failure> {
+/// Checks that the device of this card can read every command, before the first of them moves anything.
+pub(super) fn check(file: &str, commands: &[ScriptLine], card: &Card) -> Result<(), Failure> {
     let wrong: Vec<String> = commands
         .iter()
         .filter_map(|command| {
-            let error = command.text.parse::<Script>().err()?;
+            let error = check_by_card(card, &command.text).err()?;
             let column = command.indent + error.place().map_or(1, |(_, column)| column as usize);
             Some(format!("{file}:{}:{column}: {error}", command.line))
         })
@@ -64,7 +58,7 @@ pub(super) fn check(file: &str, commands: &[ScriptLine]) -> Result<(), Failure> 
         true => Ok(()),
         false => Err(Failure::new(
             wrong.join("\n"),
-            "nothing was sent; `mom run --help` lists the statements",
+            "nothing was sent; `mom card CHANNEL` lists the statements",
         )),
     }
 }
@@ -94,33 +88,22 @@ mod tests {
     }
 
     #[test]
-    fn relative_commands_of_either_language_are_known() {
-        for (text, relative) in [
-            ("by 0 0 -50 0 0", true),
-            ("turn 5 0; wait 10", true),
-            ("look 5 0; turn 5 0", false),
-            ("home", false),
-            ("dance", false),
-        ] {
-            assert_eq!(is_relative(text), relative, "{text}");
-        }
-    }
-
-    #[test]
     fn mistakes_are_told_with_file_line_and_column_before_anything_is_sent() {
+        let card = mom_device::card(&mom_camera::pan::Mount::default());
         let mistakes = check(
             "pick",
-            &commands("home\n\n  home; mvoe 1 2 3 4 5\ngrip close\nwait -1"),
+            &commands("home\n\n  home; loko 1 2\nturn 1 2\nwait -1"),
+            &card,
         )
         .unwrap_err();
         let text = mistakes.to_string();
         let lines: Vec<&str> = text.lines().collect();
         assert_eq!(lines.len(), 2, "{text}");
         assert!(
-            lines[0].starts_with("pick:3:9: ") && lines[0].contains("did you mean `move`?"),
+            lines[0].starts_with("pick:3:9: ") && lines[0].contains("did you mean `look`?"),
             "{text}"
         );
         assert!(lines[1].starts_with("pick:5:6: "), "{text}");
-        assert!(check("pick", &commands("home; grip open\nwait 5")).is_ok());
+        assert!(check("pick", &commands("home; look 1 2\nwait 5"), &card).is_ok());
     }
 }
