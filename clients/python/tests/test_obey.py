@@ -78,10 +78,9 @@ async def test_a_device_says_what_it_has_heard_of_stops_when_its_channel_is_back
     assert last["installation"] and [last[key] for key in ("installation", "begun")] == [first[key] for key in ("installation", "begun")]
 
 
-async def test_a_device_tells_its_card_to_hubs_that_take_it(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_device_tells_its_card_to_hubs_that_take_it(robot: Robot) -> None:
     await robot.start()
-    for tells, minor, card in ((False, 4, None), (True, 3, None), (True, None, None), (True, 4, Recorder.card())):
-        monkeypatch.setattr(mom.core, "_TELLS_CARDS", tells)
+    for minor, card in ((3, None), (None, None), (4, Recorder.card())):
         robot.client._core.welcome["protocol"] = {"major": 1, "minor": minor}
         # A join again keeps it.
         await robot.arm.channel.thin(newest=True)
