@@ -579,7 +579,7 @@ fn stage() -> Stage<Mirror> {
         let hear = |machine: &mut Mirror| {
             heard
                 .iter()
-                .for_each(|notice| machine.heard(notice).expect("nothing is lost"))
+                .for_each(|notice| machine.heard(notice).expect("nothing is lost"));
         };
         server.note(now, hear, out);
     };
