@@ -458,7 +458,25 @@ impl CardArg {
         for (choice, number) in self.choices.iter().zip(0..) {
             check_word(choice, &format!("{at}/choices/{number}"))?;
         }
-        Ok(())
+        let fits = match &self.default {
+            None => true,
+            Some(Value::String(word)) => word.is_empty() || check_name(word).is_ok(),
+            Some(Value::Int(number)) => self.takes(*number as f64),
+            Some(Value::Double(number)) => self.takes(*number),
+            Some(_) => false,
+        };
+        match fits {
+            true => Ok(()),
+            false => {
+                let text = "a default is a word, or a number that lies within min and max".to_owned();
+                Err(wrong(&format!("{at}/default"), text))
+            }
+        }
+    }
+
+    fn takes(&self, number: f64) -> bool {
+        let is_number = matches!(self.kind, CardType::Number | CardType::Whole);
+        is_number && self.min.is_none_or(|min| number >= min) && self.max.is_none_or(|max| number <= max)
     }
 }
 
@@ -559,6 +577,17 @@ mod tests {
             (
                 arg(Map::new().with("type", "whole").with("min", 2).with("max", 1)),
                 "/verbs/0/args/0/min",
+            ),
+            (
+                arg(Map::new()
+                    .with("type", "number")
+                    .with("max", 1)
+                    .with("default", 5)),
+                "/verbs/0/args/0/default",
+            ),
+            (
+                arg(Map::new().with("type", "word").with("default", "a\u{9b}b")),
+                "/verbs/0/args/0/default",
             ),
         ] {
             let error = Card::read(&card.clone().into()).expect_err(at);

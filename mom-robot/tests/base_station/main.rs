@@ -130,6 +130,35 @@ async fn a_robot_that_send_has_set_in_motion_drives_until_ctrl_c() {
     }
 }
 
+/// Who reads its output slowly, or not at all, must not keep it from stopping its robots.
+#[tokio::test]
+async fn a_station_whose_output_is_not_read_stops_its_robots_and_ends() {
+    let mut robot = Robot::start().await;
+    let (mut command, _folder) = program(&[robot.port]);
+    command.args(["send", "--repeat", "1ms", "1", "motor", "100", "100"]);
+    let mut child = command
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("it starts");
+    assert_eq!(robot.command().await, "06 00100 00100");
+    let tasks = format!("/proc/{}/task", child.id());
+    let is_blocked = || {
+        let tasks = std::fs::read_dir(&tasks).expect("it runs");
+        tasks.flatten().any(|task| {
+            std::fs::read_to_string(task.path().join("wchan")).is_ok_and(|place| place.contains("pipe_write"))
+        })
+    };
+    while !is_blocked() {
+        robot.line().await;
+    }
+    let kill = Command::new("kill").arg(child.id().to_string()).status();
+    assert!(kill.expect("kill is there").success());
+    while robot.command().await != "06 00000 00000" {}
+    let ended = tokio::task::spawn_blocking(move || child.wait()).await;
+    assert_eq!(ended.expect("no panic").expect("it ends").code(), Some(1));
+}
+
 /// The frames of one direction in a log.
 fn wires(log: &Path, kind: &str) -> Vec<String> {
     let text = std::fs::read_to_string(log).expect("a log");

@@ -77,6 +77,31 @@ async fn every_device_says_that_it_stands_and_that_it_may_move() {
     lab.end().await;
 }
 
+/// A stop that goes out without its content, as it is too large, holds like any other, also where the device has heard of one before.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stop_of_many_words_holds() {
+    let lab = Lab::start().await;
+    mom(&lab, "alice", &["stop", ARM]).await;
+    mom(&lab, "alice", &["unstop", ARM]).await;
+    let mut bob = Raw::login(lab.broker.local_addr(), Form::Binary, "bob").await;
+    bob.join(&["/robot", ARM]).await;
+    let large = message("stop", ARM, "fire ".repeat(1_000));
+    let id = bob.post(large).await;
+    let shortened = bob.next_of(Family::Event, "shortened").await;
+    assert_eq!(shortened.reference, Some(id));
+    let state = bob.next_of(Family::Message, "state").await.value();
+    assert_eq!(state.get("stopped"), Some(&true.into()), "{state:?}");
+    let trace = mom(&lab, "alice", &["trace", "wait 10"]).await;
+    assert!(
+        text(&trace.stderr).contains("stopped") && !trace.status.success(),
+        "{trace:?}"
+    );
+    // It is lifted as any other.
+    let unstop = mom(&lab, "alice", &["unstop", ARM]).await;
+    assert_eq!(unstop.status.code(), Some(0), "{unstop:?}");
+    lab.end().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn who_says_nothing_is_named() {
     let lab = Lab::start_with_several().await;

@@ -107,6 +107,11 @@ enum Phase {
     Up(Box<Up>),
 }
 
+/// Whether a command stops the motors.
+fn is_stop(frame: &Frame) -> bool {
+    frame.code() == Code::MOTOR && frame.values() == [0, 0]
+}
+
 /// The state machine of one robot's connection.
 #[derive(Debug)]
 pub struct Circuit {
@@ -228,7 +233,7 @@ impl Circuit {
         self.budget.left(now)
     }
 
-    /// Gives a command to be sent.
+    /// Gives a command to be sent. A stop that cannot be is said first on the next connection ([`Circuit::halt`]).
     ///
     /// # Errors
     ///
@@ -240,6 +245,8 @@ impl Circuit {
         }
         let up = match &mut self.phase {
             Phase::Up(up) if up.heard => up,
+            // Motion is not kept for later, but a stop is.
+            _ if is_stop(&frame) => return self.halt().map(|()| Taken::Queued),
             _ => return Err(Refusal::NotWritable(state)),
         };
         if frame.code() == Code::NULL && up.unanswered.len() + up.waiting.nulls() >= MOST_UNANSWERED {
@@ -477,7 +484,12 @@ impl Circuit {
     }
 
     fn end(&mut self, end: End) {
-        // Nothing is sent on the next connection that was meant for this one.
+        // Nothing is sent on the next connection that was meant for this one, but a stop that it may not have read.
+        let said = self.may_move && !self.in_motion;
+        self.owes_stop |= match &self.phase {
+            Phase::Up(up) => up.waiting.ends_in_stop().unwrap_or(said),
+            _ => false,
+        };
         self.faults = self.faults();
         self.last_end = Some(end.clone());
         self.outputs.push_back(Output::Note(Note::Ended(end)));

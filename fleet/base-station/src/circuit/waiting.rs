@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use mom_brs::{Code, Frame};
 
-use super::{Refusal, Taken};
+use super::{Refusal, Taken, is_stop};
 
 /// The most commands that wait for one robot, but for a stop: a way of 64 points, with a stop before and questions after it.
 pub const MOST_WAITING: usize = 96;
@@ -25,8 +25,14 @@ impl Waiting {
         self.frames.iter().filter(null).count()
     }
 
+    /// Whether what waits last of what can move the robot is a stop; none if nothing that can waits.
+    pub(super) fn ends_in_stop(&self) -> Option<bool> {
+        let moves = |frame: &&Frame| matches!(frame.code(), Code::MOTOR | Code::GOTO | Code::VIA);
+        self.frames.iter().rev().find(moves).map(is_stop)
+    }
+
     pub(super) fn push(&mut self, frame: Frame) -> Result<Taken, Refusal> {
-        if frame.code() == Code::MOTOR && frame.values() == [0, 0] {
+        if is_stop(&frame) {
             return Ok(self.stop(frame));
         }
         if self.frames.len() < MOST_WAITING {

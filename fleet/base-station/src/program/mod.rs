@@ -11,6 +11,7 @@ use std::ffi::OsString;
 use std::io::{IsTerminal as _, Write as _, stderr, stdout};
 use std::path::Path;
 use std::process::ExitCode;
+use std::time::Duration;
 
 use crate::edit::{self, Change, ChangeError, Edit};
 use crate::fleet::{Fleet, Unit};
@@ -23,8 +24,12 @@ use mom_brs::Table;
 use mom_brs::file::{self, EXTENDED};
 use mom_pages::Interrupt;
 use tokio::task::JoinSet;
+use tokio::time::sleep;
 
 use self::args::{Args, Work};
+
+/// So long the program's own end may take once its robots were to stop.
+const END: Duration = Duration::from_secs(3);
 
 /// How many entries the view can show.
 const REMEMBERED: usize = 1000;
@@ -66,7 +71,10 @@ async fn carry_out(args: Vec<OsString>) -> Result<()> {
             log,
             ..Settings::default()
         };
-        Ok(Station::new(fleet, table, settings))
+        let station = Station::new(fleet, table, settings);
+        let interrupt = Interrupt::install().context("cannot listen for signals")?;
+        tokio::spawn(end_in_any_case(station.clone(), interrupt));
+        Ok(station)
     };
     let mut interrupt = Interrupt::install().context("cannot listen for signals")?;
     match args.work {
@@ -134,16 +142,41 @@ fn read(path: &Path) -> Result<String> {
     crate::edit::read(path).with_context(|| path.display().to_string())
 }
 
+/// Stops the robots and ends the program where that waits for a reader of its output: whoever writes there does nothing else meanwhile.
+async fn end_in_any_case(station: Station, mut interrupt: Interrupt) {
+    interrupt.wait().await;
+    let left = station.halt().await;
+    sleep(END).await;
+    // On a thread of its own, as that may not be read either.
+    std::thread::spawn(move || {
+        let _ = writeln!(
+            stderr(),
+            "mom-base-station: nobody reads its output; {}",
+            stands(&left)
+        );
+    });
+    sleep(Duration::from_millis(100)).await;
+    std::process::exit(1);
+}
+
+/// What is known of the robots that were to stop, of which these have not confirmed it.
+fn stands(left: &[Unit]) -> String {
+    let units: Vec<String> = left.iter().map(Unit::to_string).collect();
+    match units.is_empty() {
+        true => "the robots were stopped".to_owned(),
+        false => format!(
+            "these units were started, and have not confirmed their stop: {}",
+            units.join(", ")
+        ),
+    }
+}
+
 /// Stops all robots that were set in motion, and closes the connections.
 async fn finish(station: &Station) -> Result<()> {
     let left = station.halt().await;
     station.close().await;
-    if !left.is_empty() {
-        let units: Vec<String> = left.iter().map(Unit::to_string).collect();
-        bail!(
-            "these units were started, and have not confirmed their stop: {}",
-            units.join(", ")
-        );
+    match left.is_empty() {
+        true => Ok(()),
+        false => bail!("{}", stands(&left)),
     }
-    Ok(())
 }

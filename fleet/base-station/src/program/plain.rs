@@ -17,7 +17,7 @@ use anyhow::{Result, bail};
 use mom_brs::{Code, Command, Frame, Table};
 use mom_pages::Interrupt;
 use tokio::sync::broadcast::{Receiver, error::RecvError};
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, MissedTickBehavior, interval, timeout, timeout_at};
 
@@ -59,13 +59,22 @@ pub(super) async fn show(
     let mut changes = station.subscribe();
     let mut statements = statements();
     let mut open = true;
+    let (lines, mut written) = written();
     station.connect_all();
     loop {
+        // Where its output is not read, statements are carried out all the same.
+        let told = async {
+            let place = lines.reserve().await;
+            (place, next(&mut changes).await)
+        };
         tokio::select! {
             () = interrupt.wait() => return Ok(()),
-            entry = next(&mut changes) => match entry {
-                Some(entry) => say(entry)?,
-                None => return Ok(()),
+            error = &mut written => return Err(error?.into()),
+            (place, entry) = told => match (place, entry) {
+                (Ok(place), Some(entry)) => place.send(entry.to_string()),
+                (Ok(_), None) => return Ok(()),
+                // Why is told next.
+                (Err(_), _) => return Err(written.await?.into()),
             },
             Some(_) = playing.join_next(), if !playing.is_empty() => {}
             line = statements.recv(), if open => match line {
@@ -88,6 +97,21 @@ pub(super) async fn show(
             },
         }
     }
+}
+
+/// Takes lines to be written to standard output by a thread of its own; also why it writes no more.
+fn written() -> (mpsc::Sender<String>, oneshot::Receiver<io::Error>) {
+    let (sender, mut lines) = mpsc::channel::<String>(64);
+    let (failed, why) = oneshot::channel();
+    std::thread::spawn(move || {
+        while let Some(line) = lines.blocking_recv() {
+            if let Err(error) = say(line) {
+                let _ = failed.send(error);
+                return;
+            }
+        }
+    });
+    (sender, why)
 }
 
 /// The lines of the standard input, read by a thread of its own that lasts as long as the program.

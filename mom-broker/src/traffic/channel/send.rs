@@ -11,7 +11,7 @@ use mom_net::Lane;
 use mom_net::Reader;
 use mom_proto::binary::{ParcelRun, Plain};
 use mom_proto::{
-    Code, Content, ContextNumber, Delivery, Fence, Map, Micros, Overflow, Parcel, ReadCount, WireError,
+    Code, Content, ContextNumber, Delivery, Fence, Map, Micros, Overflow, Parcel, ReadCount, STOP, WireError,
     outlives_loss,
 };
 use mom_system::Clock;
@@ -433,12 +433,16 @@ fn ingress(sender: &Sender<'_>, since: Option<Micros>, clock: &Clock) -> Ingress
     }
 }
 
-/// Takes from a stop what makes it large: it has to get through when nothing else does.
+/// Takes from a stop what makes it large: it has to get through when nothing else does. Its number stays, by which a device knows it from
+/// one that was lifted before.
 fn shorten(parcel: &mut Parcel) -> bool {
     let large = parcel.size() > LARGEST_STOP;
     if large {
-        parcel.content = None;
-        parcel.extra = Map::new();
+        let number = parcel.extra.get(STOP).cloned();
+        (parcel.content, parcel.extra) = (None, Map::new());
+        if let Some(number) = number {
+            parcel.extra.set(STOP, number);
+        }
     }
     large
 }
