@@ -142,7 +142,7 @@ fn read(path: &Path) -> Result<String> {
     crate::edit::read(path).with_context(|| path.display().to_string())
 }
 
-/// Stops the robots and ends the program where that waits for a reader of its output: whoever writes there does nothing else meanwhile.
+/// Stops the robots and ends the program where that waits for a reader of its output: a blocked write keeps it from everything else.
 async fn end_in_any_case(station: Station, mut interrupt: Interrupt) {
     interrupt.wait().await;
     let left = station.halt().await;
