@@ -44,7 +44,7 @@ fn picture(path: &str, peer: &str, card: &Card) -> String {
         .iter()
         .map(|verb| {
             let marks = [
-                (verb.relative, "from where it is"),
+                (verb.relative, "relative"),
                 (verb.velocity, "alone in its script"),
                 (verb.last, "at the end of its script"),
                 (!verb.moves, "moves nothing"),
