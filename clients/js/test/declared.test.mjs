@@ -1,7 +1,7 @@
 // A declared device: what every device does alike, its scripts, its card, and what it does where its functions fail.
 import assert from "node:assert/strict";
 import test from "node:test";
-import { DeclaredMachine, DeviceError, attachment, device, number, readScript, verb, whole, word } from "../dist/test/internals.js";
+import { DeclaredMachine, DeviceError, attachment, device, encode, number, readScript, verb, whole, word } from "../dist/test/internals.js";
 import { Stage, check, replay } from "./stage.mjs";
 
 /** mm/s. */
@@ -129,6 +129,8 @@ test("what is wrong in a script is told by its statement, its argument, the rang
     ["play horn", "statement 1: `horn` did not come with the script: it has no attachments"],
     ["toString", "statement 1: there is no `toString`; did you mean `grip`?"],
     ["wait 60001", "statement 1: `wait` takes a whole number of ms from 0 to 60000, not `60001`"],
+    ["jog 10; beep; jog 20", "statement 1: `jog` stands alone in its script", { position: 0, line: 1, column: 1 }],
+    ["beep;\n jog 10", "statement 2: `jog` stands alone in its script", { position: 7, line: 2, column: 2 }],
     ["# nothing", "the script has no statement", { position: 0 }],
     [" ".repeat(65_537), "the script has 65537 bytes, at most 65536 are read"],
     ["beep;".repeat(1001), "the script has more than 1000 statements"],
@@ -247,7 +249,8 @@ test("a signal is aborted before the device is halted, and no function begins be
   assert.deepEqual(told, ["go 1", "abort 1", "halt"]);
   let1End();
   await stage.settle();
-  assert.deepEqual(told, ["go 1", "abort 1", "halt", "go 2"]);
+  // Once more when it has ended: it may have moved the device meanwhile.
+  assert.deepEqual(told, ["go 1", "abort 1", "halt", "halt", "go 2"]);
   // And where it does not end at all, the next one fails.
   await stage.act("hub halt");
   stage.heard();
@@ -257,7 +260,7 @@ test("a signal is aborted before the device is halted, and no function begins be
     after 1000
     > state free moving
     > status alice/3 error 1/1 link 5003`);
-  assert.deepEqual(told.slice(4), ["abort 2", "halt", "halt"]);
+  assert.deepEqual(told.slice(5), ["abort 2", "halt", "halt"]);
 });
 
 test("a velocity is halted at its end and before anything else, and goes on into the next one", async () => {
@@ -277,7 +280,8 @@ test("a velocity is halted at its end and before anything else, and goes on into
   await stage.act("ends");
   await stage.act("alice command 5 5: jog 50");
   await stage.act("alice command 6 5: go 100");
-  assert.deepEqual([cart.rail.told.length, cart.rail.speed], [3, SPEED]);
+  // At its end as something else begins, and when its function has ended.
+  assert.deepEqual([cart.rail.told.length, cart.rail.speed], [4, SPEED]);
 });
 
 test("what has to be known at once must not be a promise", async () => {
@@ -313,4 +317,180 @@ test("where its halt or its position fails nothing is known of it any more, and 
     await stage.act("alice command 2 5: go 0");
     assert.deepEqual(stage.heard(), ["status alice/2 error 0/0 link 5003"]);
   }
+});
+
+test("what a function does after the device was halted is halted once more when it has ended, however late", async () => {
+  for (const [how, late] of [["resolve", 1], ["reject", 1], ["resolve", 60_000]]) {
+    const cart = machine();
+    let ends;
+    cart.spec.verbs.late = verb("Actuates late", {}, async () => {
+      await new Promise((resolve) => (ends = resolve));
+      cart.rail.speed = 300;
+      if (how === "reject") throw new Error("so late");
+    });
+    cart.verbs.push("late");
+    const stage = await Stage.of(cart, settings);
+    await stage.act("alice command 1 5: late");
+    await stage.act("bob stop 1");
+    await stage.act(`after ${late}`);
+    cart.rail.told = [];
+    ends();
+    await stage.settle();
+    assert.deepEqual([cart.rail.speed, cart.rail.told], [0, ["halt"]], `${how} ${late}`);
+    assert.equal(stage.server.state().rest, undefined);
+    await stage.act("rests");
+  }
+});
+
+test("a velocity that has waited in vain for another function never begins", async () => {
+  const cart = machine();
+  let ends;
+  cart.spec.verbs.late = verb("Ends late", {}, () => new Promise((resolve) => (ends = resolve)));
+  const stage = await Stage.of(cart, settings);
+  for (const line of ["alice command 1 5: late", "hub halt", "alice command 2 5: jog 50", "alice command 3 5: wait 500", "after 100"]) await stage.act(line);
+  ends();
+  await stage.settle();
+  assert.equal(cart.rail.speed, 0);
+});
+
+test("what moves by itself is said to move, and no command that is based on a state of it is obeyed", async () => {
+  const push = async (stage, cart) => {
+    await stage.act("after 140");
+    cart.rail.x += 50;
+  };
+  const rolls = async (_, cart) => (cart.rail.speed = 40);
+  const lies = async (stage, cart) => {
+    cart.spec.verbs.beep = verb.instant("Moves it all the same", {}, () => void (cart.rail.speed = 40));
+    await stage.act("alice command 1 5: beep");
+    await stage.act("ends");
+  };
+  for (const [name, moves, still] of [["pushed", push, true], ["rolls", rolls], ["lies", lies]]) {
+    const cart = machine();
+    const stage = await Stage.of(cart, settings);
+    stage.heard();
+    await moves(stage, cart);
+    await stage.act("after 150");
+    const { moving, rest } = stage.server.state();
+    assert.deepEqual([moving, rest], [true, undefined], name);
+    const lines = stage.heard();
+    assert.ok(lines.includes("state free moving"), `${name}: ${lines}`);
+    await stage.act("alice command 2 5 on newest: by 20");
+    assert.ok(stage.heard().includes("status alice/2 error 0/0 stale-state 208"), name);
+    const told = stage.states.length;
+    await stage.act("after 200");
+    stage.heard();
+    assert.ok(stage.states.length >= told + 3, `${name}: states follow`);
+    cart.rail.speed = 0;
+    await stage.act("after 400");
+    assert.deepEqual([stage.server.state().moving, stage.server.state().rest], [false, "measured"], name);
+    if (still) continue;
+    // And before it was looked at.
+    cart.rail.x -= 50;
+    await stage.act("alice command 3 5 on newest: by 20");
+    assert.ok(stage.heard().includes("status alice/3 error 0/0 stale-state 208"), name);
+  }
+});
+
+test("what rolls on behind its command is said to move from the first", async () => {
+  const cart = machine();
+  cart.spec.verbs.go = verb("Rolls on", { x: number() }, async (_, signal) => {
+    cart.rail.speed = 40;
+    await cart.rail.sleep(200_000, signal);
+  });
+  const stage = await Stage.of(cart, settings);
+  await stage.act("alice command 1 5: go 100");
+  await stage.act("ends");
+  assert.equal(stage.server.state().moving, true);
+  stage.heard();
+  await stage.act("alice command 2 5 on newest: by 20");
+  assert.deepEqual(stage.heard(), ["status alice/2 error 0/0 stale-state 208"]);
+});
+
+test("until a promise of halt is fulfilled it moves, and nothing begins; one that is late has commands refused", async () => {
+  const ends = [];
+  const rail = new Rail();
+  const cart = new RailMachine(rail, { stopsWithin: 500, halt: () => new Promise((resolve) => ends.push(resolve)) });
+  const stage = new Stage(cart, settings);
+  for (const line of ["told 0", "grabbed 5", "after 400"]) await stage.act(line);
+  assert.deepEqual([stage.server.state().moving, stage.server.state().rest], [true, undefined]);
+  for (const end of ends.splice(0)) end();
+  await stage.settle();
+  await stage.act("rests");
+  await stage.act("hub halt");
+  await stage.act("alice command 1 5: beep");
+  await stage.act("after 400");
+  assert.deepEqual([stage.server.state().moving, stage.server.state().rest, rail.told], [true, undefined, []]);
+  for (const end of ends.splice(0)) end();
+  await stage.settle();
+  assert.deepEqual(rail.told, ["beep 1"]);
+  await stage.act("rests");
+  await stage.act("hub halt");
+  stage.heard();
+  await stage.act("alice command 2 5: beep");
+  await stage.act("after 1499");
+  assert.ok(!stage.heard().some((line) => / error /.test(line)));
+  await stage.act("after 1");
+  assert.ok(stage.heard().includes("status alice/2 error 1/1 link 5003"));
+  await stage.act("after 1500");
+  stage.heard();
+  await stage.act("alice command 3 5: beep");
+  assert.deepEqual(stage.heard().filter((line) => / error /.test(line)), ["status alice/3 error 0/0 link 5003"]);
+  for (const end of ends.splice(0)) end();
+  await stage.settle();
+  await stage.act("rests");
+  await stage.act("alice command 4 5: beep");
+  assert.deepEqual(rail.told, ["beep 1", "beep 1"]);
+});
+
+test("no key of the kit's own is overwritten by what an author says", async () => {
+  const own = { seq: -1, moving: "no", rest: "measured", reached: 0, stopped: 0, stop: 9, executing: {}, waiting: -1, fence: 99, "stops-within": 1 };
+  const stage = await Stage.of(machine({ report: () => ({ ...own, battery: 5 }) }), settings);
+  await stage.act("hub halt");
+  await stage.act("bob stop 1");
+  stage.heard();
+  const { said } = stage;
+  assert.equal(said.battery, 5);
+  for (const [key, value] of Object.entries(own)) if (key !== "rest") assert.notDeepEqual(said[key], value, key);
+});
+
+test("what cannot be said ends the device as what throws does", async () => {
+  const cyclic = { list: [] };
+  cyclic.list.push(cyclic, cyclic);
+  const deep = Array.from({ length: 40 }).reduce((inner) => [inner], 1);
+  const unsayable = [Infinity, -Infinity, NaN, "a\u0000b", "\ud800", () => 1, cyclic, deep, "x".repeat(2 << 20), 1n << 70n, new Date(NaN), [undefined], Symbol("s")];
+  for (const value of unsayable) {
+    for (const method of ["report", ...(typeof value === "number" ? ["position"] : [])]) {
+      let fails = false;
+      const cart = machine({ [method]: () => ({ x: fails ? value : 0 }) });
+      const stage = await Stage.of(cart, settings);
+      await stage.act("alice command 1 5: go 100");
+      fails = true;
+      await stage.act("after 100");
+      assert.deepEqual(cart.logged.slice(0, 1), [`its ${method} failed, and it obeys no more`]);
+      assert.deepEqual([cart.isReached(), stage.heard().filter((line) => / error /.test(line))], [false, ["status alice/1 error 1/1 link 5003"]], method);
+      assert.equal(stage.said.x, 0);
+    }
+  }
+});
+
+test("errors and reasons are made sayable, so that each command ends", async () => {
+  const pack = (content) => encode({ family: "message", name: "status", content });
+  const without = Object.create(null);
+  for (const thrown of [new Error("a\u0000b\ud800"), new DeviceError("link", "\u0007".repeat(1 << 24)), without, new DeviceError("obstacle", "near", { reachable: { x: NaN } })]) {
+    const cart = machine();
+    cart.spec.verbs.go = verb("Fails", {}, () => {
+      throw thrown;
+    });
+    const stage = await Stage.of(cart, settings);
+    await stage.act("alice command 1 5: go");
+    const { content } = stage.out.find(({ content }) => content.state === "error");
+    assert.ok(pack(content).length < 20_000);
+    assert.equal(content.error.reachable, undefined);
+  }
+  const stage = await Stage.of(machine(), settings);
+  stage.server.name = "arm";
+  stage.server.stopItself("bumper\u0000", stage.now, stage.out);
+  const stop = stage.out.find(({ name }) => name === "stop");
+  assert.ok(pack(stop.content));
+  assert.match(stop.content.reason, /bumper\ufffd/);
 });

@@ -108,7 +108,7 @@ test("a device obeys stops by their numbers, and says after each how it stands",
   say("command", { content: "say up", id: 9 });
   say("unstop", { extra: { stop: 6 } });
   await eventually(() => states().length > before && ends().length === 2);
-  assert.deepEqual(told, ["halt", "home", "go", "halt", "aborted"], "the signal is aborted before it is halted, by which its promise ends later");
+  assert.deepEqual(told, ["halt", "home", "go", "halt", "aborted", "halt"], "the signal is aborted before it is halted, by which its promise ends later, and once more then");
   assert.deepEqual(ends().map(({ content, reference }) => [content.error.name, content.error.code, content.error.text, reference]), [
     ["stopped", 5102, "the arm was stopped: stopped by bob: smoke", 8],
     ["stopped", 5102, "the arm is stopped and takes no command until the stop is released", 9],
@@ -229,7 +229,7 @@ test("a device stops itself, and halts when the hub is silent or it leaves", asy
   say("command", { content: "go", id: 3 });
   await eventually(() => told.includes("go"));
   await arm.leave();
-  assert.deepEqual(told.slice(told.indexOf("go")), ["go", "halt", "aborted"]);
+  assert.deepEqual(told.slice(told.indexOf("go")), ["go", "halt", "aborted", "halt"]);
   assert.equal(arm.mayMove().text, "it is no longer a device of its channel");
   const { error } = said("status").at(-1).content;
   assert.deepEqual([error.name, error.text], ["halted", "the arm was halted: it is no longer a device of its channel"]);

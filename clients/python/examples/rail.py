@@ -10,7 +10,7 @@ import time
 from typing import Annotated, Any, Dict, List, Optional
 
 import mom
-from mom.device import Call, Device, Number, Whole, verb
+from mom.device import Call, Device, Number, Whole, run, verb
 
 END = 1000.0
 SPEED = 200.0
@@ -79,4 +79,4 @@ async def main() -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(main())
+    run(main())

@@ -244,6 +244,27 @@ def test_a_class_that_cannot_be_a_device_is_refused_when_it_is_made() -> None:
         DeviceError("oops", "")
 
 
+@pytest.mark.parametrize("name", ["stops_within", "tolerance", "max_age"])
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -1, 0, "5"])
+def test_a_class_with_limits_that_are_none_is_refused(name: str, value: Any) -> None:
+    assert "are finite numbers, and more than 0" in refused_class(halt=lambda self: None, **{name: value})
+
+
+def test_a_generator_is_no_verb() -> None:
+    def steps(self: Any) -> Any:
+        yield
+
+    async def turns(self: Any) -> Any:
+        yield
+
+    for method in (steps, turns):
+        assert "Toy.go: a generator is not a verb" in refused_class(halt=lambda self: None, go=verb(method))
+    with pytest.raises(DeviceError, match="a generator is not a verb"):
+        machine = DeclaredMachine(cart := Cart())
+        cart.go = lambda x, speed=0.0: steps(cart)  # type: ignore[method-assign]
+        machine.begin(read("go 1").statements[0], 0)
+
+
 def test_the_protocol_has_a_row_for_each_error() -> None:
     document = (Path(__file__).parents[3] / "docs/PROTOCOL.md").read_text()
     rows = [[cell.strip(" `") for cell in line.split("|")] for line in document.splitlines() if line.startswith("| 5")]

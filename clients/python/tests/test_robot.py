@@ -28,8 +28,12 @@ def brake():
     say("brake")
 async def lift(height):
     say("lift", int(height))
-    await asyncio.Event().wait()
-    say("there")
+    try:
+        await asyncio.Event().wait()
+    finally:
+        # It is cancelled again meanwhile, when the loop ends.
+        await asyncio.sleep(0)  # tidy: it takes a turn
+        say("sets")
 def height():
     return 7
 """
@@ -49,6 +53,7 @@ class Robot:
         self.told: List[str] = []
         """Words of the motors."""
         self.times: List[float] = []
+        self.is_nohup = False
         self._more = asyncio.Event()
 
     async def start(self) -> None:
@@ -60,9 +65,13 @@ class Robot:
             stdout=asyncio.subprocess.PIPE,
             stderr=open(self.broker.folder / "robot.log", "a"),
             # Where the tests run in a shell's background it would not hear of Ctrl-C.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL) and None,
+            preexec_fn=self._set_signals,
         )  # fmt: skip
         self._reading = asyncio.ensure_future(self._read())
+
+    def _set_signals(self) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        signal.signal(signal.SIGHUP, signal.SIG_IGN if self.is_nohup else signal.SIG_DFL)
 
     async def _read(self) -> None:
         assert self._process.stdout
@@ -94,11 +103,15 @@ class Robot:
         except asyncio.TimeoutError:
             raise AssertionError(f"no {words} among {self.told[after:]}") from None
 
-    async def interrupt(self) -> None:
-        """Ends it as Ctrl-C does."""
-        self._process.send_signal(signal.SIGINT)
-        await asyncio.wait_for(self._process.wait(), PATIENCE)
+    async def interrupt(self, how: signal.Signals = signal.SIGINT) -> int:
+        """Ends it by a signal, as Ctrl-C does; gives its exit code."""
+        self._process.send_signal(how)
+        code = await asyncio.wait_for(self._process.wait(), PATIENCE)
         await self._reading
+        return code
+
+    def send_signal(self, how: signal.Signals) -> None:
+        self._process.send_signal(how)
 
     async def end(self) -> None:
         if self._process.returncode is None:
@@ -226,6 +239,30 @@ async def test_it_halts_when_its_hub_is(robot: Robot, own_broker: Broker, how: s
         at = await robot.hears("brake", at)
         print(f"{how.name}: {robot.times[at - 1] - began:.3f} s")
         assert robot.times[at - 1] - began < 10
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+async def test_whatever_ends_its_program_a_halt_is_the_last_thing(robot: Robot, own_broker: Broker, how: signal.Signals) -> None:
+    async with own_broker.connect("alice") as alice:
+        await is_there(alice)
+        at = await lifts(robot, alice, 100, await (await alice.token(TOKEN)).grab())
+        code = await robot.interrupt(how)
+        after = robot.told[at:]
+        assert after[0] == after[-1] == "brake" and "sets" in after, after
+        # By a KeyboardInterrupt Python ends itself with the signal.
+        assert code in ((-how, 128 + how) if how == signal.SIGINT else (128 + how,))
+
+
+async def test_a_program_that_ignores_a_hangup_goes_on(own_broker: Broker) -> None:
+    robot = Robot(own_broker)
+    robot.is_nohup = True
+    await robot.start()
+    async with own_broker.connect("alice") as alice:
+        await is_there(alice)
+        robot.send_signal(signal.SIGHUP)
+        await lifts(robot, alice, 100, await (await alice.token(TOKEN)).grab())
+        assert await robot.interrupt(signal.SIGTERM) == 143
+    await robot.end()
 
 
 async def test_stopped_while_its_connection_is_lost_it_comes_back_stopped(own_broker: Broker) -> None:

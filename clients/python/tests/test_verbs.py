@@ -145,6 +145,17 @@ async def test_a_velocity_takes_over_from_another_and_all_else_begins_after_a_ha
     assert cart.told[4:] == ["drive 7", "halt"] and robot.errors() == [(6, "syntax")]
 
 
+async def test_a_velocity_of_steps_takes_over_without_a_halt(robot: Robot) -> None:
+    cart = await start(robot)
+    robot.say("command", "steer 3", id=1)
+    await robot.until(lambda: "steer 3" in cart.told)
+    robot.say("command", "steer 4", id=2)
+    await robot.until(lambda: "steer 4" in cart.told)
+    assert "halt" not in cart.told
+    await ends(robot, 2)
+    assert cart.told[-1] == "halt" and robot.errors() == []
+
+
 async def test_a_velocity_of_steps_ends_with_its_time(robot: Robot) -> None:
     cart = await start(robot)
     robot.say("command", "steer 3", id=1)
@@ -164,11 +175,11 @@ async def test_what_a_halted_verb_clears_up_ends_before_the_next_one_begins(robo
     robot.say("command", "lamp", id=2)
     await robot.until(lambda: robot.errors() and [one for one in robot.said("status") if one.get("id") == 2])
     await robot.settled()
-    assert cart.told == ["sweep", "halt"], "the next one waits"
+    assert cart.told == ["sweep", "halt", "halt"], "the next one waits"
     assert robot.said("state")[-1]["moving"], "it may do what is not known"
     cart.cleared.set()
     await ends(robot, 2)
-    assert cart.told == ["sweep", "halt", "cleared", "lamp"]
+    assert cart.told == ["sweep", "halt", "halt", "cleared", "halt", "lamp"]
 
 
 async def test_a_verb_that_ignores_its_halt_is_halted_again(robot: Robot, caplog: pytest.LogCaptureFixture) -> None:
@@ -252,7 +263,7 @@ async def test_no_verb_takes_a_step_after_its_program_stood_still(robot: Robot) 
     skipped = 60.0
     count = len(cart.told)
     await ends(robot, 1, 2)
-    assert cart.told[count:] == ["halt"]
+    assert set(cart.told[count:]) == {"halt"}
     assert robot.errors() == [(1, "halted"), (2, "halted")] and "its program stood still for" in robot.why(1)
 
 
@@ -267,7 +278,7 @@ async def test_nor_does_a_verb_that_moves_nothing(robot: Robot) -> None:
     skipped = 60.0
     await ends(robot, 1)
     count = cart.told.index("halt")
-    assert cart.told[count:] == ["halt"] and robot.errors() == [(1, "halted")]
+    assert set(cart.told[count:]) == {"halt"} and robot.errors() == [(1, "halted")]
 
 
 async def test_no_command_is_taken_while_it_leaves(robot: Robot) -> None:

@@ -3,8 +3,15 @@ import type { Fields } from "../value.js";
 import { type Call, attachTo, readCall } from "./declare.js";
 import { DeviceError, deviceErrorOf } from "./errors.js";
 import { Machine } from "./machine.js";
+import { LOOK, Motion, Sample } from "./rest.js";
+import { copyOf } from "./sayable.js";
 import type { Attachments, Script, Word, Words } from "./script.js";
 import type { Spec } from "./spec.js";
+
+/** µs between two looks at a device that stands. */
+const LOOK_AT_REST = 150_000;
+/** µs that a promise of `halt` may take beyond the stopping time. */
+const LATE = 1_000_000;
 
 /** One call of a verb's function. */
 interface Running {
@@ -12,6 +19,8 @@ interface Running {
   readonly control: AbortController;
   /** Its function was called. */
   started: boolean;
+  /** The device was halted although its function had not ended, so that this may actuate it still. */
+  halted: boolean;
   /** When its function has ended, µs. */
   done: number | undefined;
 }
@@ -25,8 +34,9 @@ export interface Driver {
 
 /**
  * Carries statements out by the functions of a declaration. No function begins before the one before it has ended, whatever that does
- * with its signal. Where `halt`, `position` or `report` throw, nothing is known of the device any more: it is `broken`, is said to be out
- * of reach, and takes no command.
+ * with its signal, nor before a promise of `halt` is fulfilled; and what was halted meanwhile is halted once more when it has ended. Where
+ * `halt`, `position` or `report` throw, or give what cannot be said, nothing is known of the device any more: it is `broken`, is said to
+ * be out of reach, and takes no command.
  */
 export class DeclaredMachine extends Machine<Call> {
   override readonly name: string;
@@ -44,7 +54,13 @@ export class DeclaredMachine extends Machine<Call> {
   #patient: number | undefined;
   /** A velocity goes on until the command begins that it has given way to; since when. */
   #yielding: number | undefined;
+  /** The promises of `halt` that are not fulfilled yet: when each is late. */
+  readonly #halts = new Set<{ readonly late: number }>();
   #failure: DeviceError | undefined;
+  readonly #motion: Motion;
+  /** What it was when it was looked at last, if it measures. */
+  #sample: Sample | undefined;
+  #lookedAt = 0;
   #position: Fields = {};
   #report: Fields = {};
 
@@ -59,6 +75,7 @@ export class DeclaredMachine extends Machine<Call> {
     this.stoppingTime = Math.round((spec.stopsWithin ?? 1000) * 1000);
     this.tolerance = spec.tolerance ?? 1;
     this.completes = spec.completesOnGive ?? false;
+    this.#motion = new Motion(this.tolerance);
     // It may not do what is known of it.
     this.#brake();
   }
@@ -82,8 +99,13 @@ export class DeclaredMachine extends Machine<Call> {
     return kind === "velocity";
   }
 
+  override standsAlone({ verb: { kind } }: Call): boolean {
+    return kind === "velocity";
+  }
+
   override plan(script: Script<Call>): void {
     if (this.broken) throw new DeviceError("link", `${this.name} has failed, and takes no command`);
+    if ([...this.#halts].some(({ late }) => late <= this.#now)) throw new DeviceError("link", `${this.name} was halted, and does not say that it stands`);
     const statements = script.actions().map(([{ name, values }, statement]) => ({ verb: name, args: values, statement }));
     try {
       atOnce(this.spec.plan?.(statements));
@@ -96,11 +118,15 @@ export class DeclaredMachine extends Machine<Call> {
   // What it does.
 
   override isMoving(): boolean {
-    return this.#yielding !== undefined || [...this.#unsettled].some(({ call }) => call.verb.kind !== "instant");
+    return this.#yielding !== undefined || this.#halts.size > 0 || [...this.#unsettled].some(({ call }) => call.verb.kind !== "instant");
+  }
+
+  override movedAt(): number | undefined {
+    return this.#motion.movedAt;
   }
 
   override isAtRest(): boolean {
-    return this.#yielding === undefined && this.#unsettled.size === 0;
+    return this.#yielding === undefined && this.#unsettled.size === 0 && this.#halts.size === 0;
   }
 
   override isReached(): boolean {
@@ -112,15 +138,21 @@ export class DeclaredMachine extends Machine<Call> {
     if (this.#yielding !== undefined && call.verb.kind !== "velocity") this.#brake();
     this.#yielding = undefined;
     if (this.broken) throw new DeviceError("link", `${this.name} has failed`);
-    const running: Running = { call, control: new AbortController(), started: false, done: undefined };
+    const running: Running = { call, control: new AbortController(), started: false, halted: false, done: undefined };
     // However many wait one after the other, what is to end has its time once.
-    const patient = this.#patient ?? now + this.patience;
+    const patient = this.#patient ?? Math.max(now + this.patience, ...[...this.#halts].map(({ late }) => late));
     this.#forgetUnbegun();
     this.#current = running;
     this.#unsettled.add(running);
-    // Two functions would both drive it.
-    if (this.#unsettled.size > 1) this.#patient = patient;
-    else this.#start(running);
+    this.#patient = patient;
+    this.#startNext();
+  }
+
+  /** Calls the function that waits, if there is one, as soon as it has the device for itself: two would both drive it. */
+  #startNext(): void {
+    const [next] = this.#unsettled;
+    if (next && !next.started && this.#halts.size === 0 && !this.broken) this.#start(next);
+    else if (!next) this.#patient = undefined;
   }
 
   /** What waits for another function to end has not begun, and never will. */
@@ -136,7 +168,10 @@ export class DeclaredMachine extends Machine<Call> {
     try {
       const act = call.verb.act as (values: Call["values"], signal: AbortSignal) => unknown;
       const acts = act.call(this.spec, call.values, control.signal);
-      if (!isPromise(acts)) return this.#settle(running);
+      if (!isPromise(acts)) {
+        this.#heedStandstill();
+        return this.#settle(running);
+      }
       acts.then(
         () => this.#ended(running),
         (error: unknown) => this.#ended(running, { error }),
@@ -146,10 +181,23 @@ export class DeclaredMachine extends Machine<Call> {
     }
   }
 
+  /** A function that gives no promise has ended: no stop could be heard meanwhile. */
+  #heedStandstill(): void {
+    const silence = this.driver.now() - this.#now;
+    if (silence <= this.patience) return;
+    this.#failure ??= new DeviceError("halted", `${this.name} was halted: its program stood still for ${Math.floor(silence / 1000)} ms`);
+  }
+
   /** A promise of a function has ended. */
   #ended(running: Running, thrown?: { error: unknown }): void {
+    this.#afterTime(() => this.#settle(running, thrown));
+  }
+
+  /** Takes something in behind the time that has passed: where the program stood still meanwhile, that is judged before. */
+  #afterTime(act: () => void): void {
+    this.driver.wake();
     this.#now = Math.max(this.#now, this.driver.now());
-    this.#settle(running, thrown);
+    act();
     this.driver.wake();
   }
 
@@ -164,8 +212,9 @@ export class DeclaredMachine extends Machine<Call> {
     } else if (thrown && thrown.error !== control.signal.reason && !isAbort(thrown.error)) {
       this.driver.log(`\`${call.name}\` failed after it was to end`, thrown.error);
     }
-    const [next] = this.#unsettled;
-    if (next && !next.started) this.#start(next);
+    // It may have moved the device since that was halted.
+    if (running.halted) this.#brake();
+    this.#startNext();
   }
 
   #fail(call: Call, error: unknown): void {
@@ -192,6 +241,7 @@ export class DeclaredMachine extends Machine<Call> {
   override giveWay(now: number): void {
     this.#now = now;
     this.#current?.control.abort(new DOMException("it gives way to the next command", "AbortError"));
+    this.#forgetUnbegun();
     this.#yielding = now;
   }
 
@@ -206,14 +256,34 @@ export class DeclaredMachine extends Machine<Call> {
   /** Has it stand. */
   #brake(): void {
     this.#yielding = undefined;
+    for (const running of this.#unsettled) running.halted ||= running.control.signal.aborted;
     this.#known("halt", () => {
       const halts: unknown = this.spec.halt();
-      if (isPromise(halts)) halts.then(undefined, (error: unknown) => (this.#break("halt", error), this.driver.wake()));
+      if (isPromise(halts)) this.#awaitHalt(halts);
     });
+  }
+
+  /** Until then it moves, and nothing begins. */
+  #awaitHalt(halts: PromiseLike<unknown>): void {
+    const pending = { late: this.#now + this.stoppingTime + LATE };
+    this.#halts.add(pending);
+    const end = (): void => {
+      this.#halts.delete(pending);
+      this.#startNext();
+    };
+    const fail = (error: unknown): void => {
+      this.#break("halt", error);
+      end();
+    };
+    halts.then(
+      () => this.#afterTime(end),
+      (error: unknown) => this.#afterTime(() => fail(error)),
+    );
   }
 
   override advance(now: number): void {
     this.#now = Math.max(this.#now, now);
+    this.#look();
     // What it has given way to did not move it, such as a `wait`.
     if (this.#yielding !== undefined && now > this.#yielding) this.#brake();
     if (this.#patient !== undefined && now >= this.#patient && this.#current) {
@@ -223,27 +293,51 @@ export class DeclaredMachine extends Machine<Call> {
   }
 
   override nextWake(): number | undefined {
-    return this.#yielding === undefined ? this.#patient : this.#yielding + 1;
+    const next = this.#yielding === undefined ? this.#patient : this.#yielding + 1;
+    if (this.broken || (!this.#sample && this.isAtRest())) return next;
+    const movedAt = this.#motion.movedAt ?? -Infinity;
+    const stands = this.isAtRest() && this.#lookedAt - movedAt > LOOK_AT_REST + LOOK_AT_REST;
+    return Math.min(next ?? Infinity, this.#lookedAt + (stands ? LOOK_AT_REST : LOOK));
+  }
+
+  /** Looks where it is: whatever may have moved it. */
+  #look(): void {
+    this.#lookedAt = this.#now;
+    if (this.broken) return;
+    this.#sample = Sample.of(this.position(), this.#now);
+    if (this.#sample) this.#motion.look(this.#sample);
   }
 
   // How it stands.
 
   override position(): Fields {
     this.#known("position", () => {
-      const position = atOnce(this.spec.position());
+      const position = copyOf(atOnce(this.spec.position()));
       for (const [key, value] of Object.entries(position)) if (typeof value !== "number") throw new TypeError(`${key} is not a number`);
-      this.#position = { ...position };
+      this.#position = position;
     });
     return this.#position;
   }
 
   override report(): Fields {
-    this.#known("report", () => (this.#report = { ...atOnce(this.spec.report?.()) }));
+    this.#known("report", () => (this.#report = copyOf(atOnce(this.spec.report?.()) ?? {})));
     return this.#report;
+  }
+
+  override measured(at: number): Sample | undefined {
+    return this.#sample?.at === at ? this.#sample : super.measured(at);
+  }
+
+  /** What it gave cannot be said: nothing more of that is. */
+  unsayable(error: unknown): void {
+    this.#break("state", error);
+    [this.#position, this.#report] = [{}, {}];
   }
 
   /** Does what must not fail. */
   #known(what: string, act: () => void): void {
+    // What is known last of a broken one is kept; it is to stand all the same.
+    if (this.broken && what !== "halt") return;
     try {
       act();
     } catch (error) {

@@ -1,5 +1,6 @@
 // Errors of devices, with the names, numbers and keys that all devices have (docs/PROTOCOL.md, "Errors of devices").
 import type { Fields, Value } from "../value.js";
+import { sayable, sayableOf, textOf } from "./sayable.js";
 
 /** The number of each error's word. */
 export const DEVICE_CODES = {
@@ -54,15 +55,18 @@ export interface ErrorDetails {
 /** Why a device does not carry a command out, in plain words. A verb and a plan throw it; `status` tells it to all. */
 export class DeviceError extends Error {
   override readonly name = "DeviceError";
+  /** Plain words, with the statement's number in front where there is one; what no string may hold is replaced. */
+  readonly text: string;
   readonly details: Readonly<ErrorDetails>;
 
   constructor(
     readonly word: DeviceErrorName,
-    /** Plain words, with the statement's number in front where there is one. */
-    readonly text: string,
+    text: string,
     details: ErrorDetails = {},
   ) {
-    super(text);
+    const told = sayable(text);
+    super(told);
+    this.text = told;
     this.details = word === "queue-full" || word === "busy" ? { retry: true, ...details } : details;
   }
 
@@ -77,19 +81,18 @@ export class DeviceError extends Error {
     return new DeviceError(this.word, `statement ${statement}: ${this.text}`, { ...this.details, statement });
   }
 
-  /** As a map: `name`, `code`, `text`, and what else applies. */
+  /** As a map: `name`, `code`, `text`, and what else applies and can be said. */
   content(): Fields {
     const { retry, statement, position, line, column, nearest, late, reachable } = this.details;
     const more = { retry: retry || undefined, statement, position, line, column, nearest, late, reachable };
-    return defined({ name: this.word, code: this.code, text: this.text, ...more });
+    return defined({ name: sayable(this.word), code: this.code, text: this.text, ...sayableOf(more) });
   }
 }
 
 /** The error of a device for whatever was thrown: an exception that is none says that the mechanism failed. */
 export function deviceErrorOf(what: string, thrown: unknown): DeviceError {
   if (thrown instanceof DeviceError) return thrown;
-  const text = thrown instanceof Error ? thrown.message : String(thrown);
-  return new DeviceError("link", `${what} failed: ${text}`);
+  return new DeviceError("link", `${what} failed: ${textOf(thrown)}`);
 }
 
 /** A mistake in a script, at this byte. */

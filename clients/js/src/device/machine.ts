@@ -45,8 +45,18 @@ export abstract class Machine<A> {
     return false;
   }
 
+  /** Whether an action is the only statement of its script, as what would follow it would begin nobody knows where. */
+  standsAlone(_action: A): boolean {
+    return false;
+  }
+
   /** Whether it is busy with something that no command began, or moves on after one. */
   abstract isMoving(): boolean;
+
+  /** When it was last seen to have moved by its tolerance, whatever has moved it: for 0.3 s it moves then. Undefined if nobody looks. */
+  movedAt(): number | undefined {
+    return undefined;
+  }
 
   /** Whether a halt would change nothing. */
   isAtRest(): boolean {

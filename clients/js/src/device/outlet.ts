@@ -12,7 +12,11 @@ export class Outlet {
   #held: Parcel[] = [];
   #down = false;
 
-  constructor(readonly send: (parcel: Parcel) => Promise<void>) {}
+  constructor(
+    readonly send: (parcel: Parcel) => Promise<void>,
+    /** What to do where something cannot be said at all. */
+    readonly failed: (error: unknown) => void = () => undefined,
+  ) {}
 
   /** Takes what is to be sent. */
   push(parcels: readonly Parcel[]): void {
@@ -46,6 +50,7 @@ export class Outlet {
     this.send(parcel).catch((error: { kind?: string }) => {
       // The event that tells of it is on its way.
       if (error.kind === "connection" && this.#down) this.keep(parcel);
+      else if (error.kind === "local") this.failed(error);
     });
   }
 }

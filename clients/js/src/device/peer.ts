@@ -4,7 +4,7 @@ import type { Fields } from "../value.js";
 import type { State } from "./commands.js";
 import { type Call, cardOf, checkVerbs } from "./declare.js";
 import { DeclaredMachine } from "./declared.js";
-import type { DeviceError } from "./errors.js";
+import { type DeviceError, deviceErrorOf } from "./errors.js";
 import { Outlet } from "./outlet.js";
 import type { DeviceAge } from "./pull.js";
 import { type DeviceEvent, DeviceServer } from "./server.js";
@@ -39,9 +39,12 @@ export class Device implements Obeys<Obeying> {
     return cardOf({ ...this.spec, name: this.name, stopsWithin: this.spec.stopsWithin ?? 1000 });
   }
 
-  /** Throws where it obeys in a channel already: two owners would move it. */
+  /** Throws where it obeys in a channel already, or what it began there has not ended: two owners would move it. */
   check(): void {
-    if (this.#obeying && !this.#obeying.isOver) throw new TypeError(`${this.name} obeys in ${this.#obeying.channel.path} already`);
+    const [obeying, { name }] = [this.#obeying, this];
+    if (!obeying) return;
+    if (!obeying.isOver) throw new TypeError(`${name} obeys in ${obeying.channel.path} already`);
+    if (!obeying.hasEnded) throw new TypeError(`what ${name} began in ${obeying.channel.path} has not ended yet`);
   }
 
   /** Begins to obey what is heard in a channel; {@link Client.obey} calls it. */
@@ -75,6 +78,8 @@ export class Obeying {
   readonly #begin = performance.now();
   #timer: ReturnType<typeof setTimeout> | undefined;
   #silent = false;
+  /** Whether the server acts, and might be asked how it stands by what it calls. */
+  #acts = false;
   /** Why it is not a device any more. */
   #over: string | undefined;
 
@@ -87,7 +92,10 @@ export class Obeying {
     const { name, spec } = device;
     const { client, path } = channel;
     this.#events = events;
-    this.#outlet = new Outlet((parcel) => client.sendParcel(parcel));
+    this.#outlet = new Outlet(
+      (parcel) => client.sendParcel(parcel),
+      (error) => this.#do(() => this.#machine.unsayable(error)),
+    );
     this.#machine = new DeclaredMachine(spec, name, {
       now: () => this.#now(),
       wake: () => this.#do(() => undefined),
@@ -118,8 +126,14 @@ export class Obeying {
     return this.#over !== undefined;
   }
 
+  /** Whether it is not a device there any more, and all functions of its verbs have ended, as the promises of its `halt` have. */
+  get hasEnded(): boolean {
+    return this.isOver && this.#machine.isAtRest();
+  }
+
   /** How it stands. */
   state(): State {
+    if (!this.#acts) this.#do(() => undefined);
     return this.#server.state();
   }
 
@@ -130,7 +144,7 @@ export class Obeying {
 
   /** Ends every command with this error, because the device cannot carry it out, and halts. */
   fail(error: DeviceError): void {
-    this.#do((out, now) => this.#server.fail(now, error, out));
+    this.#do((out, now) => this.#server.fail(now, deviceErrorOf("it", error), out));
   }
 
   /** Says how it stands, after something has changed what its `position` or `report` give; to these peers, or to all. */
@@ -203,13 +217,16 @@ export class Obeying {
   #do(act: (out: Parcel[], now: number) => void): void {
     if (this.#over !== undefined) return;
     const out: Parcel[] = [];
-    const now = this.#now();
+    const [now, acts] = [this.#now(), this.#acts];
+    this.#acts = true;
     try {
       act(out, now);
       this.#server.advance(now, out);
     } catch (error) {
       console.error(`${this.#machine.name} failed, and obeys no more:`, error);
       this.#machine.broken ??= { error };
+    } finally {
+      this.#acts = acts;
     }
     this.#outlet.push(out);
     if (this.#machine.broken) {

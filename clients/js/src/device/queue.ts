@@ -2,7 +2,7 @@
 import { type Command, type Order, type QueueEvent, type State, progressOf } from "./commands.js";
 import { DeviceError, deviceErrorOf } from "./errors.js";
 import type { Machine } from "./machine.js";
-import { type AtRest, Rest } from "./rest.js";
+import { type AtRest, REST, Rest } from "./rest.js";
 import { MAX_ATTACHED, type Script } from "./script.js";
 
 /** The most commands that wait behind the one being carried out. */
@@ -43,6 +43,8 @@ export class CommandQueue<A> {
   /** Whether it was changing by itself when that was looked at last. */
   #wasChanging: boolean;
   readonly #rest: Rest;
+  /** When the machine was last seen to have moved, as far as that was taken in. */
+  #movedAt: number | undefined;
   /** It was to stand while it moved, and does not rest yet. */
   #halting = false;
   /** It has a new owner, whose first motion waits until it rests, and until then at most. */
@@ -72,12 +74,23 @@ export class CommandQueue<A> {
 
   /** Whether it moves, or is to stand and does not rest yet. Where it is not reached nobody knows. */
   get isMoving(): boolean {
-    return this.machine.isMoving() || this.#halting || !this.machine.isReached();
+    return this.machine.isMoving() || this.#halting || this.#rolls || !this.machine.isReached();
+  }
+
+  /** Whether it has moved lately, as what rolls on or is pushed does. */
+  get #rolls(): boolean {
+    const movedAt = this.machine.movedAt();
+    return movedAt !== undefined && this.#now - movedAt < REST;
+  }
+
+  /** How it is known that it rests, if it is. */
+  get #rests(): AtRest | undefined {
+    return this.#rolls ? undefined : this.#rest.known;
   }
 
   /** Whether its position may change meanwhile: what is not reached tells nothing new. */
   get #isLively(): boolean {
-    return this.machine.isReached() && (this.machine.isMoving() || this.machine.isChanging() || this.#halting);
+    return this.machine.isReached() && (this.machine.isMoving() || this.machine.isChanging() || this.#halting || this.#rolls);
   }
 
   /** Whether a command is being carried out or waits, so that the device may be elsewhere soon. */
@@ -87,7 +100,7 @@ export class CommandQueue<A> {
 
   /** Whether a halt would change nothing. */
   get isAtRest(): boolean {
-    return !this.isBusy && this.machine.isAtRest();
+    return !this.isBusy && this.machine.isAtRest() && !this.#rolls;
   }
 
   /** Whose commands are being carried out or wait. */
@@ -107,7 +120,7 @@ export class CommandQueue<A> {
       position: this.machine.position(),
       report: this.machine.report(),
       moving: this.isMoving,
-      rest: this.#rest.known,
+      rest: this.#rests,
       reached: this.machine.isReached(),
       stopped: this.#stopped,
       executing: active && progressOf(active.command, active.begun),
@@ -217,7 +230,7 @@ export class CommandQueue<A> {
   changeHands(now: number, events: QueueEvent[]): void {
     this.advance(now, events);
     this.#doubtOldNews();
-    this.#changesHands = this.#rest.known === undefined;
+    this.#changesHands = this.#rests === undefined;
     this.#waitsUntil = undefined;
   }
 
@@ -244,7 +257,7 @@ export class CommandQueue<A> {
   /** Ends the active command with one error and those behind it with another. */
   #end(error: DeviceError, behind: DeviceError, events: QueueEvent[]): void {
     const began = this.#active !== undefined && this.#active.begun > 0;
-    const wasMoving = began || !this.machine.isAtRest();
+    const wasMoving = began || !this.machine.isAtRest() || this.#rolls;
     this.machine.halt(this.#now);
     const [active, waiting] = [this.#active, this.#waiting];
     [this.#active, this.#waiting, this.#waitsUntil] = [undefined, [], undefined];
@@ -400,17 +413,20 @@ export class CommandQueue<A> {
 
   /** Looks whether it rests: not while it is carrying something out, and not where nothing is heard of it. */
   #watchRest(): void {
+    const movedAt = this.machine.movedAt();
+    if (movedAt !== this.#movedAt) this.#rest.disturb(this.#now);
+    this.#movedAt = movedAt;
     const acts = this.#active !== undefined && this.#active.begun > 0;
     if (acts || this.machine.isMoving() || !this.machine.isReached()) return this.#rest.disturb(this.#now);
     const measuredAt = this.machine.knownAt() ?? this.#now;
     this.#rest.observe(this.machine.measured(measuredAt), this.#now);
-    if (this.#rest.known !== undefined) [this.#halting, this.#changesHands, this.#waitsUntil] = [false, false, undefined];
+    if (this.#rests !== undefined) [this.#halting, this.#changesHands, this.#waitsUntil] = [false, false, undefined];
   }
 
   /** Tells when it has come to rest, and when it rests no more though nothing drives it. */
   #tellRest(events: QueueEvent[]): void {
     if (this.#toldReached !== this.machine.isReached()) this.#publishState(events);
-    const { known } = this.#rest;
+    const known = this.#rests;
     const comes = known !== undefined && (known !== this.#toldRest || this.#toldMoving);
     // Such as by a push.
     const goes = known === undefined && this.#toldRest !== undefined;

@@ -4,7 +4,7 @@ import { Double, type Fields, type Value } from "../index.js";
 /** Measurements that differ by less than the tolerance over so long, in µs, are those of a device at rest. */
 export const REST = 300_000;
 /** µs between two looks at a device that may be coming to rest. */
-const LOOK = 50_000;
+export const LOOK = 50_000;
 /** The key of a position that is an angle, degrees. */
 const HEADING = "heading";
 
@@ -45,6 +45,27 @@ export class Sample {
 function numberIn(value: Value | undefined): number | undefined {
   if (value instanceof Double) return value.number;
   return typeof value === "number" || typeof value === "bigint" ? Number(value) : undefined;
+}
+
+/** Watches whether a device has moved lately, whatever has moved it. */
+export class Motion {
+  /** Those of the last 0.3 s, since it has moved; and the last one, however long ago it was. */
+  #seen: Sample[] = [];
+  #movedAt: number | undefined;
+
+  constructor(readonly tolerance: number) {}
+
+  /** Takes in what is measured now. */
+  look(sample: Sample): void {
+    this.#seen = this.#seen.filter((other, place, { length }) => place === length - 1 || sample.at - other.at < REST);
+    if (this.#seen.some((other) => !sample.isNear(other, this.tolerance))) [this.#seen, this.#movedAt] = [[], sample.at];
+    this.#seen.push(sample);
+  }
+
+  /** When it was last seen to have moved by its tolerance or more, if it was. */
+  get movedAt(): number | undefined {
+    return this.#movedAt;
+  }
 }
 
 /** Watches a device come to rest. What was measured before it was to stand is worth nothing. */

@@ -151,6 +151,8 @@ export interface Reader<A> {
   read(verb: Word, words: Words): A | undefined;
   /** The action with the bytes that it names. Throws `syntax` if they did not come. */
   attach(action: A, attachments: Attachments): A;
+  /** Whether it is the only statement of its script. */
+  standsAlone?(action: A): boolean;
 }
 
 /**
@@ -168,13 +170,18 @@ function statementsOf<A>(text: string, reader: Reader<A>): Statement<A>[] {
   const length = bytesOf(text);
   if (length > MAX_BYTES) throw syntax(MAX_BYTES, `the script has ${length} bytes, at most ${MAX_BYTES} are read`);
   const statements: Statement<A>[] = [];
+  const alone: [verb: Word, statement: number][] = [];
   for (const words of split(text)) {
     const verb = words.next();
     if (!verb) continue;
     if (statements.length === MAX_STATEMENTS) throw syntax(verb.at, `the script has more than ${MAX_STATEMENTS} statements`);
-    statements.push(atStatement(statements.length + 1, () => statementOf(verb, words, reader)));
+    const statement = atStatement(statements.length + 1, () => statementOf(verb, words, reader));
+    statements.push(statement);
+    if ("action" in statement && reader.standsAlone?.(statement.action)) alone.push([verb, statements.length]);
   }
   if (!statements.length) throw syntax(0, "the script has no statement");
+  const [first] = alone;
+  if (first && statements.length > 1) throw syntax(first[0].at, `\`${first[0].text}\` stands alone in its script`).atStatement(first[1]);
   return statements;
 }
 

@@ -7,6 +7,7 @@ import { DeviceError, defined, deviceErrorOf } from "./errors.js";
 import type { Machine } from "./machine.js";
 import { type DeviceAge, NEXT, Pull } from "./pull.js";
 import { CommandQueue } from "./queue.js";
+import { sayable } from "./sayable.js";
 import { readScript, scriptOf } from "./script.js";
 import { Refusal, StateGate, basedOn } from "./states.js";
 
@@ -16,6 +17,8 @@ export const COMMAND = "command";
 export const STATUS = "status";
 /** The message that tells the device's state. */
 export const STATE = "state";
+/** The key of a full state for ms within which the device stands. */
+const STOPS_WITHIN = "stops-within";
 const HUB = "hub";
 /** Why commands end at the hub's safe state. */
 const SAFE = "the hub ordered the safe state, because the token's owner lost it or gave it up";
@@ -168,7 +171,7 @@ export class DeviceServer<A> {
 
   /** Stops by itself, as at a bumper, until a peer lifts that, and tells the hub. */
   stopItself(why: string, now: number, out: Parcel[]): void {
-    this.#react(undefined, this.#latch.stopItself(why), now, out);
+    this.#react(undefined, this.#latch.stopItself(sayable(why)), now, out);
     this.#tellOwnStop(out);
   }
 
@@ -346,18 +349,19 @@ export class DeviceServer<A> {
   /** The state with what never changes, for who has just come. */
   #fullState(): Parcel {
     const parcel = this.#state(this.#queue.state());
-    return { ...parcel, content: { ...fieldsOf(parcel.content), "stops-within": Math.floor(this.machine.stoppingTime / 1000) } };
+    return { ...parcel, content: { ...fieldsOf(parcel.content), [STOPS_WITHIN]: Math.floor(this.machine.stoppingTime / 1000) } };
   }
 
-  /** `{seq, …position, …report, moving, rest?, reached, stopped, stop, executing {id?, peer, statement, of}?, waiting, fence?}`. */
+  /** `{…position, …report, seq, moving, rest?, reached, stopped, stop, executing {id?, peer, statement, of}?, waiting, fence?}`. */
   #state({ seq, position, report, moving, rest, reached, stopped, executing, waiting }: State): Parcel {
     const { order, statement, of } = executing ?? {};
     const carriedOut = order && defined({ id: order.id, peer: order.peer, statement, of });
-    const told = { moving, rest, reached, stopped, stop: this.#latch.number, executing: carriedOut, waiting, fence: this.#fence || undefined };
+    // What the author says overwrites none of these.
+    const told = { seq, moving, rest, reached, stopped, stop: this.#latch.number, executing: carriedOut, waiting, fence: this.#fence || undefined, [STOPS_WITHIN]: undefined };
     const moved = !this.#told || !isSame(this.#told, position);
     if (moved) this.#told = position;
     const delivery: Delivery = "latest";
-    return { ...this.#parcel(STATE, { seq, ...position, ...report, ...told }), delivery, id: this.#states.next(moved) };
+    return { ...this.#parcel(STATE, { ...position, ...report, ...told }), delivery, id: this.#states.next(moved) };
   }
 
   /** A broadcast without echo. */

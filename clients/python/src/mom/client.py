@@ -196,14 +196,18 @@ class Client:
         """
         if not isinstance(device, Device):
             raise TypeError(f"a device is made of a class with mom.device.Device as its base, not of {device!r}")
+        await self._core.devices.take(path, device, self._core.places)
         # From here on, since the answer to the join says how it stands.
         events = self._core.subscribers.subscribe(path)
         place: Optional[Place] = None
         try:
             place = await self._core.enter_all(path, "channel", {"device": {"card": device.card()}})
-            return DevicePeer(self._core, Channel(self._core, place), device, events)
+            peer = DevicePeer(self._core, Channel(self._core, place), device, events)
+            self._core.devices.note(path, peer)
+            return peer
         except BaseException:
             events.close()
+            self._core.devices.free(path, device)
             if place is not None:
                 # Nothing obeys there: it must not pass for a device.
                 self._core.post(Parcel("context", "leave", path))

@@ -107,6 +107,11 @@ def check_text(text: str) -> None:
         raise _not_encodable(f"the character {found.group()!r} is not allowed in a string: send bytes")
 
 
+def sayable(text: str) -> str:
+    """A text with � for each character that no string may hold."""
+    return _NOT_XML.sub("\ufffd", str(text))
+
+
 def unpack(data: bytes) -> Value:
     """Reads one value of MessagePack; `LocalError` with `bad-content` for anything else."""
     try:

@@ -23,6 +23,7 @@ from ..errors import (
 )
 from ..events import Dropped, LinkDown, Other, Refused, Rejoined, StateChanged, Stops, is_within, of_parcel
 from ..gate import FenceGate
+from .devices import Devices
 from .holds import Holds
 from ..latch import Latch
 from ..link import Link
@@ -79,6 +80,7 @@ class Core:
         self.outbox = Outbox(self.dropped)
         self.outbox.permits = self._permits
         self.holds = Holds(self)
+        self.devices = Devices()
         self.places: Dict[str, Place] = {}
         self._latches: Dict[str, Latch] = {}
         """What devices have heard of stops, also of channels that are gone: a hub that began anew without one knows no stop there."""

@@ -19,7 +19,8 @@
             \"\"\"Drives to a place.\"\"\"
             await motors.drive_to(x)
 
-`await client.obey("/robot/cart", Cart())` makes it a device there, and gives a `DevicePeer`. The other names are for devices that need
+`await client.obey("/robot/cart", Cart())` makes it a device there, and gives a `DevicePeer`. `run(main())` runs
+the program, and has its devices halted whatever ends it. The other names are for devices that need
 another driver or another language: a `DeviceServer` decides without a connection and without a clock.
 """
 
@@ -28,6 +29,7 @@ from .device import Call, Device
 from .errors import ERRORS, DeviceError
 from .machine import Machine
 from .peer import DevicePeer
+from .program import run
 from .server import DeviceServer
 
 __all__ = [
@@ -44,5 +46,6 @@ __all__ = [
     "Number",
     "Whole",
     "Word",
+    "run",
     "verb",
 ]

@@ -309,6 +309,8 @@ def _verb(owner: type, method: str, function: Callable[..., Any], options: _Opti
     name = options.name or _script_name(method)
     if name == WAIT or not NAME.fullmatch(name):
         raise TypeError(f"{where}: no verb can be called `{name}`")
+    if inspect.isgeneratorfunction(function) or inspect.isasyncgenfunction(function):
+        raise TypeError(f"{where}: a generator is not a verb, since calling it does nothing: make it a coroutine function that awaits")
     if options.velocity is not None and not 0 < options.velocity <= _LONGEST_VELOCITY:
         raise TypeError(f"{where}: a velocity goes on for 1 to {_LONGEST_VELOCITY} ms, not {options.velocity}")
     if options.velocity is not None and (options.relative or not options.moves):

@@ -5,15 +5,20 @@ from __future__ import annotations
 import asyncio
 import inspect
 import logging
+import math
 import numbers
+import time
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, Generator, Iterator, Mapping, Optional
+from typing import Any, Callable, Dict, Mapping, Optional
 
+from ..values import pack
 from .declare import Attachment, Verb
 from .device import Call, Device
 from .errors import DeviceError, syntax
 from .machine import Machine
+from .rest import REST, Sample
 from .script import Attachments, Script
+from .steps import Steps
 from .words import ScriptWord, Words
 
 LOG = logging.getLogger("mom")
@@ -22,6 +27,9 @@ RESERVED = frozenset(
     ("seq", "moving", "rest", "reached", "stopped", "stop", "executing", "waiting", "fence", "stops-within")
 )
 """The keys of a state that say how every device stands."""
+
+_LOOK = 150_000
+"""µs between two looks at a device that rests."""
 
 
 @dataclass
@@ -35,7 +43,7 @@ class Action:
 class DeclaredMachine(Machine):
     """Carries out the verbs of a `Device`, on the running loop.
 
-    What a halted verb still clears up comes to its end before the next one begins.
+    What a halted verb still clears up comes to its end before the next one begins. A halt follows each step that it still takes.
     """
 
     def __init__(self, device: Device) -> None:
@@ -44,6 +52,8 @@ class DeclaredMachine(Machine):
         """Called when a verb has come to its end, which `ended` is to be told of."""
         self.may_go_on: Callable[[], None] = lambda: None
         """Called before each step of a verb: it may halt the device."""
+        self.on_failure: Callable[[Exception], None] = lambda error: LOG.error("%s: it cannot be halted", self.name, exc_info=error)
+        """Called with what a halt has raised that followed a step of a verb."""
         self.name = f"the {device.called()}"
         self.verbs = tuple(device._verbs)
         self.stopping_time = device.stops_within * 1000
@@ -52,8 +62,14 @@ class DeclaredMachine(Machine):
         self._running: Optional[asyncio.Future[Any]] = None
         self._called, self._moves = "", False
         """The verb that was begun last, and whether it moves the device."""
-        self._halted: Dict[asyncio.Future[Any], float] = {}
-        """Verbs that were cancelled, and have not come to their end yet; until when they may clear up, by the loop's time."""
+        self._steps: Dict[asyncio.Future[Any], Steps] = {}
+        """Those of the verbs that have not come to their end."""
+        self._halted: Dict[asyncio.Future[Any], Steps] = {}
+        """Verbs that were cancelled, and have not come to their end yet."""
+        self._stuck: Dict[asyncio.Future[Any], str] = {}
+        """Verbs that have not come to their end by the time at which the device has to stand, with their names."""
+        self._undead = ""
+        """A verb that takes nothing for its end, and gets no turn any more."""
         self._leaves = False
         """Whether what a plain function has begun may go on."""
         self._done: Optional[int] = None
@@ -64,7 +80,11 @@ class DeclaredMachine(Machine):
         self._rolls = False
         """A velocity has given way to another one, which begins now."""
         self._failure: Optional[DeviceError] = None
-        self._now = 0
+        self._now, self._blocked = 0, 0
+        self._seen: Optional[Sample] = None
+        """Where it was when it had moved by its tolerance last."""
+        self._moved_at = -REST
+        """When that was seen."""
 
     # What its scripts say.
 
@@ -90,6 +110,9 @@ class DeclaredMachine(Machine):
 
     def plan(self, script: Script) -> None:
         """Has the device check a script."""
+        stuck = self._stuck_error()
+        if stuck is not None:
+            raise stuck
         _check_alone(script)
         calls = [Call(action.verb.name, dict(action.arguments), number) for action, number in script.actions()]
         try:
@@ -108,68 +131,66 @@ class DeclaredMachine(Machine):
         """Calls the method of a verb."""
         verb, goes_on = action.verb, self._rolls and action.verb.velocity is not None
         if self._rolls and not goes_on:
-            self.device.halt()
+            self._stand()
         self._rolls, self._follower, self._failure = False, None, None
         self._called, self._moves, self._done = verb.name, verb.moves, None
         self._until = None if verb.velocity is None else now + verb.velocity * 1000
-        method = getattr(self.device, verb.method)
+        method, steps = getattr(self.device, verb.method), Steps(self.may_go_on, self._stand_after)
         if self._halted:
-            self._run(self._after_halted(method, action.arguments))
+            self._run(steps, self._after_halted(steps, method, action.arguments))
             return
         try:
             found = method(**action.arguments)
+            if inspect.isgenerator(found) or inspect.isasyncgen(found):
+                raise TypeError("a generator is not a verb: it would do nothing")
         except DeviceError:
             raise
         except Exception as error:
             raise _failed(self.name, f"`{verb.name}`", error) from error
         if inspect.isawaitable(found):
-            self._run(found)
+            steps.take(found)
+            self._run(steps, steps.run())
         else:
             self._done, self._leaves = now, self._leaves or (verb.moves and verb.velocity is None)
 
-    def _run(self, found: Any) -> None:
-        task = asyncio.ensure_future(_run_in_steps(found, self._may_go_on, self._clears_up_too_long))
-        self._running = task
-        task.add_done_callback(lambda ended: self._tell_end(ended, found))
+    def _run(self, steps: Steps, carried_out: Any) -> None:
+        task = asyncio.ensure_future(carried_out)
+        self._running, self._steps[task] = task, steps
+        task.add_done_callback(self._tell_end)
 
-    def _tell_end(self, task: asyncio.Future[Any], found: Any) -> None:
-        if inspect.iscoroutine(found) and inspect.getcoroutinestate(found) == inspect.CORO_CREATED:
-            # It was halted before its first step.
-            found.close()
+    def _tell_end(self, task: asyncio.Future[Any]) -> None:
+        self._steps.pop(task).drop_unbegun()
+        was_halted = self._halted.pop(task, None) is not None
+        self._stuck.pop(task, None)
+        if was_halted and not task.cancelled():
+            LOG.warning("%s: a verb that was halted did not end by that", self.name, exc_info=task.exception())
         self.on_end(task)
 
-    async def _after_halted(self, method: Callable[..., Any], arguments: Dict[str, Any]) -> None:
+    async def _after_halted(self, steps: Steps, method: Callable[..., Any], arguments: Dict[str, Any]) -> None:
         while self._halted:
             await asyncio.wait(set(self._halted))
+        if not steps.may_go_on():
+            raise asyncio.CancelledError
         found = method(**arguments)
         if inspect.isawaitable(found):
-            await found
-        else:
-            self._leaves = self._moves and self._until is None
-
-    def _may_go_on(self) -> bool:
-        """Whether the verb that is about to take a step may do so."""
-        self.may_go_on()
-        # Who was halted may clear up.
-        return asyncio.current_task() not in self._halted
-
-    def _clears_up_too_long(self) -> bool:
-        """Whether the verb that is about to take a step was halted longer ago than it may take to stand."""
-        task = asyncio.current_task()
-        return task in self._halted and asyncio.get_running_loop().time() > self._halted[task]
+            steps.take(found)
+            await steps.run()
+            return
+        self._leaves = self._moves and self._until is None
+        if steps.is_halted:
+            self._stand_after(steps)
 
     def ended(self, task: asyncio.Future[Any], now: int) -> None:
-        """A verb has come to its end."""
-        error = None if task.cancelled() else task.exception()
-        if task in self._halted:
-            del self._halted[task]
-            if not task.cancelled() and self._running is None:
-                # It may have gone on beyond its halt.
-                LOG.warning("%s: a verb that was halted did not end by that", self.name, exc_info=error)
-                self.device.halt()
+        """A verb has come to its end, or will not."""
+        if not task.done():
+            if self._running is not None:
+                # What waits for its end waits no longer.
+                self._cancel()
+                self._failure, self._done = self._stuck_error(), now
             return
         if task is not self._running:
             return
+        error = None if task.cancelled() else task.exception()
         self._running, self._done = None, now
         if task.cancelled():
             self._failure = DeviceError("link", f"`{self._called}` failed: the device's own program cancelled it")
@@ -177,6 +198,11 @@ class DeclaredMachine(Machine):
             self._failure = error
         elif error is not None:
             self._failure = _failed(self.name, f"`{self._called}`", error)
+
+    def _stuck_error(self) -> Optional[DeviceError]:
+        """Why it carries out nothing, if a verb does not end."""
+        verb = next(iter(self._stuck.values()), self._undead)
+        return DeviceError("link", f"`{verb}` was halted and does not end: the program of {self.name} has to be mended") if verb else None
 
     def take_failure(self) -> Optional[DeviceError]:
         """What a verb has raised, once."""
@@ -195,44 +221,115 @@ class DeclaredMachine(Machine):
 
     def give_way(self, now: int) -> None:
         """Ends a velocity for the command that begins next; another velocity takes the motion over as it is."""
-        self._cancel()
         self._rolls = self._follower is True
+        self._cancel(self._rolls)
         self._until, self._done = None, now
         if not self._rolls:
-            self.device.halt()
+            self._stand()
 
     def halt(self, now: int) -> None:
         """Cancels the verb, and has the device stand."""
         self._cancel()
         self._rolls, self._until, self._done, self._follower, self._leaves = False, None, None, None, False
-        self.device.halt()
+        self._stand()
 
     def give_up(self) -> None:
-        """Cancels the verb, and has the device stand, whatever it raises: for the end of a device that has failed."""
+        """Cancels the verb, and has the device stand, whatever it raises: for the end of a device."""
         self._cancel()
         try:
-            self.device.halt()
+            self._stand()
         except Exception:
             LOG.exception("%s: it cannot be halted", self.name)
 
-    def _cancel(self) -> None:
+    async def come_to_an_end(self) -> None:
+        """Lets verbs that were cancelled come to their end, for as long as they may take, and has the device stand."""
+        try:
+            if self._halted:
+                await asyncio.wait(set(self._halted), timeout=(self.stopping_time + 2 * self.period) / 1e6)
+        finally:
+            self.give_up()
+
+    def _stand(self) -> None:
+        for steps in self._halted.values():
+            steps.is_taken_over = False
+        began = time.monotonic_ns()
+        try:
+            found: Any = self.device.halt()  # type: ignore[func-returns-value]
+        finally:
+            self._blocked += (time.monotonic_ns() - began) // 1000
+        if inspect.isawaitable(found):
+            if inspect.iscoroutine(found):
+                found.close()
+            text = f"has to be a plain function: it is called at once, and gave a {type(found).__name__}"
+            raise TypeError(f"the `halt` of {self.name} {text}")
+
+    def _stand_after(self, steps: Steps) -> None:
+        """Has the device stand after a step of a verb that was halted."""
+        if steps.is_taken_over:
+            return
+        try:
+            self._stand()
+        except Exception as error:
+            self.on_failure(error)
+
+    def blocked(self) -> int:
+        """For how long its halts have kept the program."""
+        return self._blocked
+
+    def _cancel(self, is_taken_over: bool = False) -> None:
         task, self._running = self._running, None
-        if task is not None:
-            self._halted[task] = task.get_loop().time() + self.stopping_time / 1e6
-            # From here on it takes no step more, but for its own clearing up.
-            task.cancel()
+        if task is None:
+            return
+        loop, steps = task.get_loop(), self._steps.get(task)
+        if steps is None:
+            # It has ended just now.
+            return
+        self._halted[task] = steps
+        steps.halt(loop.time() + self.stopping_time / 1e6, is_taken_over)
+        loop.call_later(self.stopping_time / 1e6, self._end_late, task, self._called)
+        # From here on it takes no step more, but for its own clearing up.
+        task.cancel()
+
+    def _end_late(self, task: asyncio.Future[Any], called: str) -> None:
+        """The device has to stand now: a verb that still clears up gets no turn any more."""
+        steps = self._halted.get(task)
+        if steps is None:
+            return
+        if not steps.give_up():
+            self._undead = called
+            self.on_end(task)
+        # What it waits for ends by that, or goes on without it.
+        task.cancel()
+        task.get_loop().call_later(self.period / 1e6, self._note_stuck, task, called)
+
+    def _note_stuck(self, task: asyncio.Future[Any], called: str) -> None:
+        if task in self._halted:
+            LOG.error("%s: `%s` was halted, and does not end", self.name, called)
+            self._stuck[task] = called
+            self.on_end(task)
 
     def advance(self, now: int) -> None:
-        """Ends a velocity whose time is over."""
+        """Ends a velocity whose time is over, and looks where the device is."""
         self._now = now
         if self._until is not None and now >= self._until:
             self._cancel()
             self._done, self._until = self._until, None
-            self.device.halt()
+            self._stand()
+        elif self._stuck:
+            # What it does nobody can see.
+            self._stand()
+        sample = self.measured(now)
+        if sample is None or not sample.is_finite():
+            self._seen = None
+        elif self._seen is None:
+            self._seen = sample
+        elif not sample.is_near(self._seen, self.tolerance):
+            self._seen, self._moved_at = sample, now
 
     def next_wake(self) -> Optional[int]:
-        """While a verb runs it is called again and again: so it is noticed that the program stood still."""
-        return None if self._running is None else self._now + self.period
+        """It is called again and again: so it is noticed that the program stood still, and that the device is moved."""
+        acts = self._running is not None or self._leaves or self._stuck or self.is_carried()
+        return self._now + (self.period if acts else _LOOK)
 
     # What is known of it.
 
@@ -243,7 +340,11 @@ class DeclaredMachine(Machine):
 
     def is_at_rest(self) -> bool:
         """Whether a halt would change nothing."""
-        return self._running is None and not self._leaves and not self.is_moving()
+        return self._running is None and not self._leaves and not self.is_moving() and not self.is_carried()
+
+    def is_carried(self) -> bool:
+        """Whether its position has changed just now."""
+        return self._now - self._moved_at < REST
 
     def is_reached(self) -> bool:
         """Whether the device says that it is."""
@@ -256,52 +357,6 @@ class DeclaredMachine(Machine):
     def report(self) -> Dict[str, Any]:
         """What else the device says."""
         return _said(self.device.report())
-
-
-class _Steps:
-    """Goes on with something that can be awaited step by step, each only if it may be taken; cancels it otherwise."""
-
-    def __init__(self, steps: Iterator[Any], may_go_on: Callable[[], bool], is_late: Callable[[], bool]) -> None:
-        self._steps: Any = steps
-        self._may_go_on, self._is_late = may_go_on, is_late
-
-    def __await__(self) -> Generator[Any, Any, Any]:
-        error: Optional[BaseException] = None
-        ends = False
-        while True:
-            if not ends and not self._may_go_on():
-                # It was cancelled just now: that comes with the next turn of the loop, once.
-                error = (yield from self._turn(None)) or asyncio.CancelledError()
-            # From its cancellation on it may clear up, for a while.
-            ends = ends or isinstance(error, asyncio.CancelledError)
-            if ends and self._is_late():
-                self._give_up()
-            try:
-                waits_for = self._steps.throw(error) if error is not None else next(self._steps)
-            except StopIteration as end:
-                return end.value
-            error = yield from self._turn(waits_for)
-            ends = ends or isinstance(error, asyncio.CancelledError)
-
-    def _give_up(self) -> None:
-        try:
-            self._steps.close()
-        except RuntimeError:
-            # It takes nothing for an end; it gets no other turn.
-            pass
-        raise TimeoutError("it still took steps when the device had to stand")
-
-    def _turn(self, waits_for: Any) -> Generator[Any, Any, Optional[BaseException]]:
-        """Lets the loop go on until what is waited for is there; gives what is to be raised then."""
-        try:
-            yield waits_for
-        except BaseException as raised:
-            return raised
-        return None
-
-
-async def _run_in_steps(found: Any, may_go_on: Callable[[], bool], is_late: Callable[[], bool]) -> Any:
-    return await _Steps(found.__await__(), may_go_on, is_late)
 
 
 def _check_alone(script: Script) -> None:
@@ -322,7 +377,10 @@ def _said(told: Mapping[str, Any]) -> Dict[str, Any]:
     wrong = sorted(RESERVED.intersection(told))
     if wrong:
         raise ValueError(f"`{wrong[0]}` is a key of every device's state: position and report need another one")
-    return {key: _plain(value) for key, value in told.items()}
+    said = {key: _plain(value) for key, value in told.items()}
+    # What cannot be sent would leave it mute. A number that is not known is left out later.
+    pack({key: value for key, value in said.items() if not (isinstance(value, float) and not math.isfinite(value))})
+    return said
 
 
 def _plain(value: Any) -> Any:

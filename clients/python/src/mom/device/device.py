@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar, Dict, List, Mapping, Optional, Sequence
 
@@ -78,8 +79,9 @@ class Device:
                 raise TypeError(f"{cls.__name__}.{name} has to be a plain function: it is called at once, and must not block")
         if not NAME.fullmatch(cls.called()) or cls.called() == "hub":
             raise TypeError(f"{cls.__name__}: no device can be called `{cls.called()}`")
-        if cls.stops_within <= 0 or cls.tolerance <= 0 or (cls.max_age is not None and cls.max_age <= 0):
-            raise TypeError(f"{cls.__name__}: stops_within, tolerance and max_age are more than 0")
+        limits = (cls.stops_within, cls.tolerance, *([] if cls.max_age is None else [cls.max_age]))
+        if not all(isinstance(limit, (int, float)) and math.isfinite(limit) and limit > 0 for limit in limits):
+            raise TypeError(f"{cls.__name__}: stops_within, tolerance and max_age are finite numbers, and more than 0")
         cls._verbs = {verb.name: verb for verb in verbs_of(cls)}
 
     def halt(self) -> None:

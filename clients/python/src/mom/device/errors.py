@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any, Dict, Optional
+
+from ..values import pack, sayable
+
+LOG = logging.getLogger("mom")
 
 ERRORS: Dict[str, int] = {
     "syntax": 5001, "workspace-boundary": 5002, "link": 5003, "singularity": 5004, "joint-limit": 5005,
@@ -78,14 +83,24 @@ class DeviceError(Exception):
 
     def content(self) -> Dict[str, Any]:
         """The key `error` of a `status`."""
-        content: Dict[str, Any] = {"name": self.name, "code": self.number, "text": self.text}
+        content: Dict[str, Any] = {"name": self.name, "code": self.number, "text": sayable(self.text)}
         if self.retry:
             content["retry"] = True
         for key in ("statement", "position", "line", "column", "nearest", "late", "reachable"):
             value = getattr(self, key)
-            if value is not None:
+            if value is not None and _can_be_said(key, value):
                 content[key] = value
         return content
+
+
+def _can_be_said(key: str, value: Any) -> bool:
+    """Whether it can be sent: its sender has to hear of the error without it otherwise."""
+    try:
+        pack({key: value})
+    except Exception as error:
+        LOG.warning("`%s` of an error of a device is left out: %s", key, error)
+        return False
+    return True
 
 
 def syntax(position: int, text: str) -> DeviceError:

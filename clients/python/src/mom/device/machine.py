@@ -63,6 +63,14 @@ class Machine:
         """Whether what it reports changes by itself although it does not move. States follow meanwhile."""
         return False
 
+    def is_carried(self) -> bool:
+        """Whether its position changes though nothing that is carried out moves it. States follow meanwhile."""
+        return False
+
+    def blocked(self) -> int:
+        """For how many µs its own halts have kept the program so far: that does not count as its standing still."""
+        return 0
+
     def plan(self, script: Script) -> None:
         """Checks a script from where the device will be after those that were planned before, and plans on from its end.
 

@@ -7,7 +7,7 @@ import logging
 from collections import deque
 from typing import Awaitable, Callable, Deque, List, Optional
 
-from ..errors import ConnectionDownError, MomError
+from ..errors import ClosedError, ConnectionDownError, LocalError, MomError, RefusedError
 from ..parcel import Parcel
 
 LOG = logging.getLogger("mom")
@@ -23,9 +23,14 @@ class Outlet:
     """
 
     def __init__(
-        self, send: Callable[[Parcel], Awaitable[object]], may_send: Callable[[], bool], is_wanted: Callable[[Parcel], bool]
+        self,
+        send: Callable[[Parcel], Awaitable[object]],
+        may_send: Callable[[], bool],
+        is_wanted: Callable[[Parcel], bool],
+        is_mute: Callable[[Exception], None] = lambda error: None,
     ) -> None:
-        self._send, self._may_send, self._is_wanted = send, may_send, is_wanted
+        self._send, self._may_send, self._is_wanted, self._is_mute = send, may_send, is_wanted, is_mute
+        """The last one is called with why a state cannot be said."""
         self._held: Deque[Parcel] = deque()
         self._sending: Optional[asyncio.Future[None]] = None
 
@@ -68,12 +73,15 @@ class Outlet:
             # A state is told anew when the link is back; all else has to be said later.
             if parcel.delivery != "latest":
                 self._held.appendleft(parcel)
-        except MomError as error:
+        except ClosedError as error:
             LOG.warning("a message of a device was not sent: %s", error)
         except asyncio.CancelledError:
             raise
-        except Exception:
-            LOG.exception("a device cannot say how it stands")
+        except Exception as error:
+            LOG.warning("a message of a device was not sent: %s", error, exc_info=not isinstance(error, MomError))
+            if parcel.name == "state" and isinstance(error, (LocalError, RefusedError)):
+                # It would go on obeying, and nobody would know how it stands.
+                self._is_mute(error)
 
 
 def _replaces(newer: Parcel, older: Parcel) -> bool:

@@ -14,6 +14,7 @@ from ..parcel import Parcel
 from ..proxies import Channel
 from ..subscriptions import Events
 from ..values import now as time_of_day
+from ..values import sayable
 from .command import State
 from .declared import DeclaredMachine
 from .device import Device
@@ -53,13 +54,16 @@ class DevicePeer:
         """What it moves."""
         self._begin = clock()
         self._machine = DeclaredMachine(device)
+        # Before anything else: it may still do what it did before this program began.
+        self._machine.halt(0)
+        self._machine.on_failure = self._break
         self._machine.on_end = self._verb_ended
         self._machine.may_go_on = self._let_time_pass
         self._server = DeviceServer(self._machine, channel.path, time_of_day())
         self._server.name = core.peer
         if device.max_age is not None:
             self._server.with_max_age(device.max_age * 1000)
-        self._outlet = Outlet(core.send, self._may_send, self._is_wanted)
+        self._outlet = Outlet(core.send, self._may_send, self._is_wanted, self._break)
         self._timer: Optional[asyncio.TimerHandle] = None
         self._is_lost, self._begins_anew = False, False
         """Whether the connection was lost and the link has not gone on yet; whether it will not, so that the channel is joined again."""
@@ -74,15 +78,23 @@ class DevicePeer:
         if heartbeat > _SLOW_HEARTBEAT:
             text = "the device of %s notices only after %g s that its hub is silent: connect with heartbeat=0.5"
             LOG.warning(text, channel.path, heartbeat * 1.5 / 1000)
+        self.on_end: Callable[[], None] = lambda: None
+        """Called when it has ended."""
         self._obeying = asyncio.ensure_future(self._obey())
+        self._obeying.add_done_callback(lambda _: self.on_end())
 
     # What its program asks and says.
 
     def may_move(self) -> Optional[Held]:
         """Why it may not move; `None` if it may."""
-        if self._is_over or self._obeying.done():
+        if self.is_over:
             return Held("unknown", self._over)
         return self._server.latch.may_move() or self._why_not()
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it obeys nothing any more; what its verbs clear up may still come to its end."""
+        return self._is_over or self._obeying.done()
 
     @property
     def is_stopped(self) -> bool:
@@ -96,7 +108,7 @@ class DevicePeer:
 
     def stop_itself(self, why: str) -> None:
         """Stops by itself, as at a bumper, until a peer lifts that."""
-        self._do(lambda now: self._server.stop_itself(why, now))
+        self._do(lambda now: self._server.stop_itself(sayable(why), now))
 
     def fail(self, error: DeviceError) -> None:
         """Ends every command with this error, because the device cannot carry it out; halts it."""
@@ -124,8 +136,8 @@ class DevicePeer:
     # What it hears.
 
     async def _obey(self) -> None:
-        self._do(lambda now: self._server.report())
         try:
+            self._do(lambda now: self._server.report())
             while self._failure is None:
                 event = await self._events.next()
                 if event is None:
@@ -139,7 +151,7 @@ class DevicePeer:
             raise
         finally:
             self._events.close()
-            self._end()
+            await self._end()
 
     def _hear(self, event: Event) -> None:
         if isinstance(event, StateChanged):
@@ -211,36 +223,35 @@ class DevicePeer:
         self._do(lambda now: self._server.advance(due if now < due <= now + _EARLY else now))
 
     def _verb_ended(self, task: asyncio.Future[Any]) -> None:
-        if self._is_over:
-            if not task.cancelled():
-                LOG.warning("%s: a verb went on when its device had ended", self.channel.path, exc_info=task.exception())
-                self._machine.give_up()
-            return
         self._do(lambda now: self._server.note(now, lambda machine: machine.ended(task, now)))
 
     def _let_time_pass(self) -> None:
         """Before each step of a verb: where the program has stood still, no step follows."""
-        now = self._now()
-        due = self._server.next_wake() if not self._is_over else None
-        if due is not None and now - due > self._machine.patience:
+        if not self._is_over and self._server.silence(self._now()) > self._machine.patience:
             self._do(self._server.advance)
 
     # How it ends.
 
     def _break(self, error: Exception) -> None:
         """The device has failed: it stands, and obeys nothing any more."""
+        if self._is_over:
+            LOG.error("%s: the device has failed once more", self.channel.path, exc_info=error)
+            return
         LOG.error("%s: the device has failed, and obeys nothing any more", self.channel.path, exc_info=error)
         self._failure = error
         self._take_leave()
         self._machine.give_up()
         self._events.close()
 
-    def _end(self) -> None:
-        if self._is_over:
-            return
-        self._do(lambda now: self._server.halt(self._over, now))
-        self._take_leave()
-        if self._failure is not None:
+    async def _end(self) -> None:
+        """Halts, lets its verbs come to their end, and halts again."""
+        is_broken = self._is_over
+        try:
+            self._do(lambda now: self._server.halt(self._over, now))
+            self._take_leave()
+        finally:
+            await self._machine.come_to_an_end()
+        if self._failure is not None and not is_broken:
             raise self._failure
 
     def _take_leave(self) -> None:

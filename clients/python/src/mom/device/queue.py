@@ -64,7 +64,7 @@ class CommandQueue(Generic[M]):
         """Whether the last state that was told said that it moves; beside it, what that said of its rest, and whether it is reached."""
         self._told_rest: Optional[str] = None
         self._told_reached = machine.is_reached()
-        self._was_changing = machine.is_changing()
+        self._was_changing, self._was_carried = machine.is_changing(), False
         self._rest = Rest(machine.tolerance, machine.stopping_time)
         self._halting = False
         """It was to stand while it moved, and does not rest yet."""
@@ -74,12 +74,18 @@ class CommandQueue(Generic[M]):
         """Until when the new owner's command waits, if there is one."""
         self._silence: Optional[int] = None
         """For how long the program has stood still, while that is made up for."""
+        self._blocked = machine.blocked()
+        """For how long halts had kept the program at the latest time."""
 
     # What is known of it.
 
     def is_moving(self) -> bool:
         """Whether it moves, or is to stand and does not rest yet. Where it is not reached nobody knows."""
-        return self.machine.is_moving() or self._halting or not self.machine.is_reached()
+        return self.machine.is_moving() or self._is_carried() or self._halting or not self.machine.is_reached()
+
+    def _is_carried(self) -> bool:
+        """Whether its position changes, whatever moves it."""
+        return self._rest.known is None and self.machine.is_carried()
 
     @property
     def is_busy(self) -> bool:
@@ -168,8 +174,9 @@ class CommandQueue(Generic[M]):
         Where that is more than the machine's patience later than `next_wake`, the program has stood still: no statement begins for which
         it would have had to be there, and all commands end.
         """
-        due = self.next_wake()
-        silence = 0 if due is None else now - due
+        silence = self.silence(now)
+        if now > self.now:
+            self._blocked = self.machine.blocked()
         patience = self.machine.patience * self.pace
         if silence > patience and self.is_busy:
             self._silence = silence
@@ -182,6 +189,11 @@ class CommandQueue(Generic[M]):
             # What was measured meanwhile is heard only now, and would pass for new.
             self._rest.disturb(now)
         self._carry_on(now, events)
+
+    def silence(self, now: int) -> int:
+        """For how long the program has stood still now, but for what its own halts took."""
+        due = self.next_wake()
+        return 0 if due is None else now - due - (self.machine.blocked() - self._blocked) * self.pace
 
     def halt(self, now: int, reason: str, events: List[QueueEvent]) -> None:
         """Stands, and drops every command with the error `halted`. Not latched: the next command is taken."""
@@ -322,6 +334,9 @@ class CommandQueue(Generic[M]):
             self._publish_state(events)
         elif was_changing and not self._was_changing:
             self._publish_state(events)
+        was_carried, self._was_carried = self._was_carried, self._is_carried()
+        if was_carried and not self._was_carried and self._told_moving and not self.is_moving():
+            self._publish_state(events)
 
     def _carry_out(self, now: int, events: List[QueueEvent]) -> None:
         """Begins and ends what is due until `now`."""
@@ -399,7 +414,7 @@ class CommandQueue(Generic[M]):
 
     def _is_lively(self) -> bool:
         """Whether its position may change meanwhile: what is not reached tells nothing new."""
-        moves = self.machine.is_moving() or self.machine.is_changing()
+        moves = self.machine.is_moving() or self.machine.is_changing() or self._is_carried()
         return self.machine.is_reached() and (moves or self._halting)
 
     def _doubt_old_news(self) -> None:

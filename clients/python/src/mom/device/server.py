@@ -111,6 +111,10 @@ class DeviceServer(Generic[M]):
         """When `advance` is to be called next; `None` while the device has nothing to do."""
         return self._queue.next_wake()
 
+    def silence(self, now: int) -> int:
+        """For how many µs its program has stood still now."""
+        return self._queue.silence(now)
+
     def may_move(self) -> Optional[Held]:
         """Why it may not move; `None` if it may."""
         return self.latch.may_move() or self.held
