@@ -57,7 +57,7 @@ pub(crate) struct AimArgs {
 
 pub(crate) const AIM: &str = "\
 It grabs the camera's token, waits until the camera looks there, and releases the token. A longer way is a script:
-  echo 'look 40 -10; wait 500; home' | mom run --channel /camera/pan --token /camera/pan-token --no-check -
+  echo 'look 40 -10; wait 500; home' | mom run --channel /camera/pan --token /camera/pan-token -
 
 Examples:
   mom aim 20 -10                           20 degrees to the right of the table, 10 below the level
