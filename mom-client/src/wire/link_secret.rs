@@ -11,6 +11,7 @@ use sha2::Sha256;
 
 use crate::ClientError;
 use crate::error::bad_reply;
+use crate::wire::welcome::minor_of;
 use crate::words::{map_of, number, text};
 
 /// The minor version from which on the hub takes a checksum of what was read.
@@ -66,14 +67,12 @@ impl LinkSecret {
         let link = welcome.get("link").and_then(Value::as_map)?;
         let secret = link.get("secret").and_then(Value::as_binary)?;
         let grace = Duration::from_millis(number(link, "grace")?);
-        let version = welcome.get("protocol").and_then(Value::as_map);
-        let minor = version.and_then(|version| number(version, "minor"));
         let known = secret.len() == SECRET_BYTES;
         known.then_some(LinkSecret {
             id: text(link, "id")?.to_owned(),
             secret: secret.to_vec(),
             grace,
-            checks: minor.is_some_and(|minor| minor >= CHECKSUMS),
+            checks: minor_of(welcome).is_some_and(|minor| minor >= CHECKSUMS),
             stream: text(welcome, "compress")
                 .and_then(Compression::of)
                 .filter(|way| way.is_stream()),

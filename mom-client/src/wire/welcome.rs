@@ -37,8 +37,6 @@ pub(crate) struct PeerLimits {
 impl Welcome {
     pub(crate) fn read(content: Map) -> Result<Welcome, ClientError> {
         let limits = content.get("limits").and_then(Value::as_map);
-        let version = content.get("protocol").and_then(Value::as_map);
-        let minor = version.and_then(|version| number(version, "minor"));
         Ok(Welcome {
             peer: text(&content, "peer")
                 .ok_or_else(|| bad_reply("peer"))?
@@ -49,10 +47,15 @@ impl Welcome {
             level: level(&content, "level").unwrap_or_default(),
             limits: PeerLimits::read(limits),
             compression: text(&content, "compress").and_then(Compression::of),
-            takes_cards: minor.is_some_and(|minor| minor >= CARDS),
+            takes_cards: minor_of(&content).is_some_and(|minor| minor >= CARDS),
             content,
         })
     }
+}
+
+/// The minor version of the hub's protocol, by what it says at login.
+pub(crate) fn minor_of(welcome: &Map) -> Option<u64> {
+    number(welcome.get("protocol")?.as_map()?, "minor")
 }
 
 impl PeerLimits {

@@ -130,6 +130,39 @@ async fn a_robot_that_send_has_set_in_motion_drives_until_ctrl_c() {
     }
 }
 
+/// Whether a program waits for a reader of what it writes.
+fn is_blocked(id: u32) -> bool {
+    let tasks = std::fs::read_dir(format!("/proc/{id}/task")).expect("it runs");
+    tasks.flatten().any(|task| {
+        std::fs::read_to_string(task.path().join("wchan")).is_ok_and(|place| place.contains("pipe_write"))
+    })
+}
+
+/// Its log goes to a pipe that nobody empties; its statements come all the same.
+#[tokio::test]
+async fn what_is_typed_is_carried_out_though_the_output_is_not_read() {
+    let mut robot = Robot::start().await;
+    let (mut command, _folder) = program(&[robot.port]);
+    let mut child = command
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("it starts");
+    let mut stdin = child.stdin.take().expect("it is piped");
+    robot.until("got 00").await;
+    while !is_blocked(child.id()) {
+        writeln!(stdin, "1 status").expect("it reads");
+        robot.line().await;
+    }
+    writeln!(stdin, "1 motor 5 5").expect("it reads");
+    while robot.command().await != "06 00005 00005" {}
+    writeln!(stdin, "1 motor 0 0").expect("it reads");
+    while robot.command().await != "06 00000 00000" {}
+    child.kill().expect("it runs");
+    child.wait().expect("it ends");
+}
+
 /// Who reads its output slowly, or not at all, must not keep it from stopping its robots.
 #[tokio::test]
 async fn a_station_whose_output_is_not_read_stops_its_robots_and_ends() {
@@ -142,14 +175,7 @@ async fn a_station_whose_output_is_not_read_stops_its_robots_and_ends() {
         .spawn()
         .expect("it starts");
     assert_eq!(robot.command().await, "06 00100 00100");
-    let tasks = format!("/proc/{}/task", child.id());
-    let is_blocked = || {
-        let tasks = std::fs::read_dir(&tasks).expect("it runs");
-        tasks.flatten().any(|task| {
-            std::fs::read_to_string(task.path().join("wchan")).is_ok_and(|place| place.contains("pipe_write"))
-        })
-    };
-    while !is_blocked() {
+    while !is_blocked(child.id()) {
         robot.line().await;
     }
     let kill = Command::new("kill").arg(child.id().to_string()).status();

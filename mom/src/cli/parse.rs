@@ -28,13 +28,12 @@ pub(crate) fn parse() -> Cli {
     cli.unwrap_or_else(|error| error.format(&mut command).exit())
 }
 
-/// `mom help /robot/arm` asks the device, as `mom card /robot/arm` does: no command has such a name.
+/// `mom help /robot/arm` asks the device, as `mom card /robot/arm` does: no command has such a name. Elsewhere the word is not the command.
 fn asks_a_device(args: impl Iterator<Item = OsString>) -> Vec<OsString> {
     let mut args: Vec<OsString> = args.collect();
-    let is_path = |word: &OsString| word.to_string_lossy().starts_with('/');
-    if let Some(at) = args.iter().position(|word| word == "help")
-        && args.get(at + 1).is_some_and(is_path)
-        && let Some(help) = args.get_mut(at)
+    if let [_, help, path, ..] = &mut args[..]
+        && help == "help"
+        && path.to_string_lossy().starts_with('/')
     {
         *help = "card".into();
     }
@@ -66,6 +65,22 @@ mod tests {
         let line = [&["mom"], line].concat();
         let matches = with_path(Cli::command(), "/robot").try_get_matches_from(line)?;
         Cli::from_arg_matches(&matches)
+    }
+
+    #[test]
+    fn help_on_a_path_is_the_card_of_a_device_and_the_word_in_a_message_is_not() {
+        let asked = |line: &str| {
+            let words = asks_a_device(line.split(' ').map(OsString::from));
+            words.join(" ".as_ref()).into_string().expect("it was text")
+        };
+        for (line, expected) in [
+            ("mom help /robot/arm --json", "mom card /robot/arm --json"),
+            ("mom help run", "mom help run"),
+            ("mom help", "mom help"),
+            ("mom send /chat help /robot/arm", "mom send /chat help /robot/arm"),
+        ] {
+            assert_eq!(asked(line), expected);
+        }
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Commands that have grown old or hold in one place only, and an arm that cannot be reached.
+//! Commands that hold in one place only, and an arm that cannot be reached.
 
 use super::stage::Stage;
 use crate::controller::{LinkFault, Simulated};

@@ -130,8 +130,8 @@ impl Errand<'_> {
 async fn card_of(client: &Client, channel: &str) -> Result<Option<Card>, Failure> {
     match client.card(channel).await {
         Ok(card) => Ok(card.map(|(_, card)| card)),
-        // To join the channel says more.
-        Err(ClientError::Refused(_)) => Ok(None),
+        // To join the channel says more; and a card of a later form is none to this program.
+        Err(ClientError::Refused(_) | ClientError::Local(_)) => Ok(None),
         Err(error) => Err(error).doing(format!("read the card of the device in {channel}")),
     }
 }
