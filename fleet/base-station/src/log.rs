@@ -5,9 +5,9 @@ use std::fmt;
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufWriter, Write as _};
 use std::path::Path;
-use std::sync::mpsc::{self, RecvTimeoutError, SyncSender};
+use std::sync::mpsc::{self, RecvTimeoutError, SyncSender, TrySendError};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde_json::{Value as Json, json};
 
@@ -166,7 +166,8 @@ impl Log {
 #[derive(Debug)]
 pub struct LogFile {
     entries: Option<SyncSender<Written>>,
-    writer: Option<thread::JoinHandle<()>>,
+    /// Closed when all is written.
+    ended: mpsc::Receiver<()>,
     lost: u64,
 }
 
@@ -180,6 +181,12 @@ enum Written {
 /// What waits for the disk at most.
 const MOST_UNWRITTEN: usize = 16_384;
 
+/// So long the end of the program waits for the disk at most.
+const WRITTEN_WITHIN: Duration = Duration::from_secs(2);
+
+/// Between two looks for a place in what waits for the disk.
+const LOOKS_AGAIN: Duration = Duration::from_millis(5);
+
 /// What was written is in the file after this time at the latest.
 const FLUSHED_AFTER: Duration = Duration::from_millis(200);
 
@@ -192,12 +199,14 @@ impl LogFile {
     pub fn open(path: &Path) -> io::Result<LogFile> {
         let file = OpenOptions::new().create(true).append(true).open(path)?;
         let (sender, receiver) = mpsc::sync_channel(MOST_UNWRITTEN);
-        let writer = thread::Builder::new()
-            .name("log".to_owned())
-            .spawn(move || write_all(&receiver, BufWriter::new(file)))?;
+        let (end, ended) = mpsc::channel();
+        thread::Builder::new().name("log".to_owned()).spawn(move || {
+            let _end: mpsc::Sender<()> = end;
+            write_all(&receiver, BufWriter::new(file));
+        })?;
         Ok(LogFile {
             entries: Some(sender),
-            writer: Some(writer),
+            ended,
             lost: 0,
         })
     }
@@ -215,17 +224,23 @@ impl LogFile {
     }
 }
 
-/// Writes what waits, and only then is dropped.
+/// Writes what waits, and only then is dropped; a file that takes nothing, as a pipe that nobody reads, is not waited for.
 impl Drop for LogFile {
     fn drop(&mut self) {
-        if let Some(entries) = self.entries.take()
-            && self.lost > 0
-        {
-            let _ = entries.send(Written::Lost(self.lost));
+        let until = Instant::now() + WRITTEN_WITHIN;
+        if let Some(entries) = self.entries.take() {
+            let mut left = (self.lost > 0).then_some(Written::Lost(self.lost));
+            while let Some(lost) = left.take().filter(|_| Instant::now() < until) {
+                if let Err(TrySendError::Full(lost)) = entries.try_send(lost) {
+                    thread::sleep(LOOKS_AGAIN);
+                    left = Some(lost);
+                }
+            }
         }
-        if let Some(writer) = self.writer.take() {
-            let _ = writer.join();
-        }
+        // Its end of this is dropped with the writer.
+        let _ = self
+            .ended
+            .recv_timeout(until.saturating_duration_since(Instant::now()));
     }
 }
 
@@ -279,6 +294,22 @@ mod tests {
         assert_eq!(log.entries().map(|entry| entry.time).collect::<Vec<_>>(), [3, 4]);
     }
 
+    /// The writer waits in the pipe, whose other end is open and not read.
+    #[test]
+    fn a_log_that_takes_nothing_is_not_waited_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log");
+        let made = std::process::Command::new("mkfifo").arg(&path).status();
+        assert!(made.unwrap().success());
+        let reader = OpenOptions::new().read(true).write(true).open(&path).unwrap();
+        let mut log = Log::new(1).with_file(LogFile::open(&path).unwrap());
+        for time in 0..20_000 {
+            log.push(entry(time, Note::State(State::Writable)));
+        }
+        drop(log);
+        drop(reader);
+    }
+
     #[test]
     fn a_file_holds_all_a_line_each_also_after_it_was_opened_again() {
         let folder = tempfile::tempdir().unwrap();
@@ -312,7 +343,7 @@ mod tests {
         let (sender, receiver) = mpsc::sync_channel(1);
         let mut file = LogFile {
             entries: Some(sender),
-            writer: None,
+            ended: mpsc::channel().1,
             lost: 0,
         };
         for time in 0..4 {
