@@ -118,15 +118,16 @@ impl Tunnels {
         tunnel.pipe.finish();
         // A client that does not come for it does without.
         let _ = timeout(FAREWELL, tunnel.pipe.drained()).await;
-        self.forget(tunnel);
+        // Requests that are under way have it still: none takes bytes once it cannot be found.
         tunnel.pipe.break_off("the tunnel is closed");
-        // Requests that are under way have it still.
+        self.forget(tunnel);
         tunnel.pipe.empty();
     }
 
     fn forget(&self, tunnel: &Tunnel) {
-        self.forget_former(tunnel);
         self.open.lock().remove(&*tunnel.id.lock());
+        // Last, because a request under way could renew its id until now.
+        self.forget_former(tunnel);
     }
 
     /// From now on the id before the login is that of nobody.
