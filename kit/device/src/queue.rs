@@ -5,7 +5,7 @@ use std::fmt::Debug;
 
 use crate::command::{Command, Order, QueueEvent, State};
 use crate::rest::Rest;
-use crate::{AtRest, DeviceError, DeviceTime, ErrorName, MAX_ATTACHED, Machine, Script, Statement};
+use crate::{AtRest, DeviceError, DeviceTime, ErrorName, MAX_ATTACHED, Machine, REST, Script, Statement};
 
 mod hand_over;
 
@@ -37,6 +37,8 @@ pub struct CommandQueue<M: Machine> {
     rest: Rest,
     /// It was to stand while it moved, and does not rest yet.
     halting: bool,
+    /// When it was told to stand last, or had something under way after that; none if an action has begun since.
+    stands_since: Option<DeviceTime>,
     /// It has a new owner, whose first motion waits until it rests.
     changes_hands: bool,
     /// Until when the new owner's command waits, if there is one.
@@ -79,6 +81,7 @@ impl<M: Machine> CommandQueue<M> {
             told_rest: None,
             rest: Rest::new(M::TOLERANCE, M::STOPPING_TIME),
             halting: false,
+            stands_since: None,
             changes_hands: false,
             waits_until: None,
             silence: None,
@@ -254,6 +257,7 @@ impl<M: Machine> CommandQueue<M> {
                     }
                     if self.machine.gives_way() {
                         self.machine.give_way(self.now);
+                        self.stands_since = Some(self.now);
                     }
                     self.begin_statement(events);
                 }
@@ -380,7 +384,7 @@ impl<M: Machine> CommandQueue<M> {
         // What goes on after its command, as a wheel does, is halted too.
         if self.is_at_rest() {
             self.doubt_old_news();
-            self.machine.halt(self.now);
+            self.halt_machine();
         } else {
             let error = DeviceError::new(ErrorName::Halted, format!("{} was halted: {reason}", M::NAME));
             self.end(error.clone(), &error, events);
@@ -402,7 +406,7 @@ impl<M: Machine> CommandQueue<M> {
             let error = DeviceError::new(ErrorName::Stopped, format!("{} was stopped: {reason}", M::NAME));
             self.end(error.clone(), &error, events);
         } else {
-            self.machine.halt(self.now);
+            self.halt_machine();
         }
     }
 
@@ -436,6 +440,28 @@ impl<M: Machine> CommandQueue<M> {
         self.now = until.max(self.now);
         self.machine.advance(self.now);
         self.watch_rest();
+        self.insist();
+    }
+
+    /// Has it stand.
+    fn halt_machine(&mut self) {
+        self.machine.halt(self.now);
+        self.stands_since = Some(self.now);
+    }
+
+    /// Has it stand again where it was to, has nothing under way and does not rest by when it should: something moves it that no command
+    /// began.
+    fn insist(&mut self) {
+        let Some(since) = self.stands_since else { return };
+        // Commands that wait were planned from where it stands; its own motion ends by itself.
+        if self.is_busy() || self.machine.is_moving() {
+            self.stands_since = Some(self.now);
+            return;
+        }
+        let is_due = since.saturating_add(M::STOPPING_TIME + REST) <= self.now;
+        if is_due && self.rest.known().is_none() && self.machine.is_reached() {
+            self.halt_machine();
+        }
     }
 
     /// Looks whether it rests: not while it is carrying something out, and not where nothing is heard of it.
@@ -512,6 +538,7 @@ impl<M: Machine> CommandQueue<M> {
         match statement {
             Statement::Do(action) => {
                 active.ends = None;
+                self.stands_since = None;
                 if let Err(error) = self.machine.begin(&action, self.now) {
                     return self.fail_statement(error, events);
                 }
@@ -534,7 +561,7 @@ impl<M: Machine> CommandQueue<M> {
     fn end(&mut self, error: DeviceError, behind: &DeviceError, events: &mut Vec<QueueEvent>) {
         let began = self.active.as_ref().is_some_and(|active| active.begun > 0);
         let was_moving = began || !self.machine.is_at_rest();
-        self.machine.halt(self.now);
+        self.halt_machine();
         let active = self.active.take();
         let waiting = std::mem::take(&mut self.waiting);
         self.waits_until = None;

@@ -29,6 +29,8 @@ struct Cart<const COMPLETES: bool> {
     speed: f64,
     until: DeviceTime,
     jogs: bool,
+    /// mm/s, by something that it knows nothing of.
+    pushed: f64,
 }
 
 impl<const COMPLETES: bool> Cart<COMPLETES> {
@@ -128,11 +130,13 @@ impl<const COMPLETES: bool> Machine for Cart<COMPLETES> {
     fn halt(&mut self, now: DeviceTime) {
         self.advance(now);
         (self.speed, self.jogs, self.planned) = (0.0, false, self.x);
+        self.pushed = 0.0;
     }
 
     fn advance(&mut self, now: DeviceTime) {
         let ends = now.min(self.until);
         self.x += self.speed * (ends - self.now).max(0) as f64 / 1e6;
+        self.x += self.pushed * (now - self.now) as f64 / 1e6;
         if now >= self.until {
             (self.speed, self.jogs) = (0.0, false);
         }
@@ -153,13 +157,17 @@ const STATEMENTS: Statements = Statements {
     velocity: Some("jog 50"),
 };
 
+fn stage<const COMPLETES: bool>() -> Stage<Cart<COMPLETES>> {
+    Stage::bare(Cart::default()).pushed_by(|cart| cart.pushed = 50.0)
+}
+
 /// Some are played for each of several events; none may be left out in silence.
 #[test]
 fn a_cart_does_what_every_device_does() {
-    assert_eq!(replay(|| Stage::bare(Cart::<false>::default()), &STATEMENTS), 48);
+    assert_eq!(replay(|| stage::<false>(), &STATEMENTS), 49);
 }
 
 #[test]
 fn a_cart_that_completes_its_statement_does_so_too() {
-    assert_eq!(replay(|| Stage::bare(Cart::<true>::default()), &STATEMENTS), 52);
+    assert_eq!(replay(|| stage::<true>(), &STATEMENTS), 53);
 }

@@ -44,7 +44,7 @@ pub fn replay<M: Machine>(make: impl Fn() -> Stage<M>, statements: &Statements) 
         if let Some((needed, _)) = lines
             .strip_prefix("needs ")
             .and_then(|rest| rest.split_once('\n'))
-            && !has::<M>(needed, statements)
+            && !has(needed, &make(), statements)
         {
             continue;
         }
@@ -137,11 +137,12 @@ fn check_card<M: Machine>(machine: &M, statements: &Statements) {
     }
 }
 
-fn has<M: Machine>(needed: &str, statements: &Statements) -> bool {
+fn has<M: Machine>(needed: &str, stage: &Stage<M>, statements: &Statements) -> bool {
     match needed {
         "beyond" => statements.beyond.is_some(),
         "relative" => statements.relative.is_some(),
         "velocity" => statements.velocity.is_some(),
+        "pushes" => stage.is_pushed(),
         "completes" => M::COMPLETES,
         "halts-on-give" => !M::COMPLETES,
         other => panic!("no dialogue can need {other}"),

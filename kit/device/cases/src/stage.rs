@@ -24,6 +24,7 @@ pub struct Stage<M: Machine> {
     token: Path,
     beside: Option<Beside<M>>,
     mechanism: Option<Mechanism<M>>,
+    push: Option<fn(&mut M)>,
     now: DeviceTime,
     /// Who owns the token, as the client knows it.
     pub gate: FenceGate,
@@ -49,6 +50,7 @@ impl<M: Machine> Stage<M> {
             token: Path::parse("/robot/token").unwrap(),
             beside: None,
             mechanism: None,
+            push: None,
             now: 0,
             gate: FenceGate::new(),
             age: None,
@@ -82,6 +84,18 @@ impl<M: Machine> Stage<M> {
         assert!(heard.last().is_some_and(rests), "{heard:?}");
         assert_eq!(self.fence, Some(5));
         self
+    }
+
+    /// This stage, with what moves the device though no command does.
+    #[must_use]
+    pub fn pushed_by(mut self, push: fn(&mut M)) -> Self {
+        self.push = Some(push);
+        self
+    }
+
+    /// Whether its device can be pushed.
+    pub fn is_pushed(&self) -> bool {
+        self.push.is_some()
     }
 
     /// This stage, at a time that its machine knows already.
@@ -247,6 +261,10 @@ impl<M: Machine> Stage<M> {
                     self.command("alice", &[&format!("{id}"), "5"], "wait 1000");
                 }
                 self.out.clear();
+            }
+            ["pushed"] => {
+                let push = self.push.unwrap();
+                self.note(push);
             }
             ["report"] => {
                 let server = self.server.as_mut().unwrap();

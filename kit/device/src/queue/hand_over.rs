@@ -46,7 +46,7 @@ impl<M: Machine> CommandQueue<M> {
             events.push(QueueEvent::Failed(command.progress(0), error.clone()));
         }
         // What was planned from is where those would have led.
-        self.machine.halt(self.now);
+        self.halt_machine();
         self.publish_state(events);
     }
 
