@@ -333,6 +333,20 @@ impl CardVerb {
         self
     }
 
+    /// This statement, which says only how far it goes.
+    #[must_use]
+    pub fn relative(mut self) -> CardVerb {
+        self.relative = true;
+        self
+    }
+
+    /// This statement, which goes on for a time or until the next command.
+    #[must_use]
+    pub fn velocity(mut self) -> CardVerb {
+        self.velocity = true;
+        self
+    }
+
     /// This statement, of which so many of the last arguments may be said again.
     #[must_use]
     pub fn repeating(mut self, repeats: u32) -> CardVerb {

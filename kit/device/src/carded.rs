@@ -1,11 +1,14 @@
 //! Reading scripts by the card of a device, for those who send them.
 
-use mom_client::{Card, CardArg, CardType, CardVerb};
+use std::sync::Arc;
 
+use mom_client::{Card, CardVerb};
+
+use crate::DeviceError;
+use crate::call::{Call, check_places, read_statement};
 use crate::reading::{ends, wait};
 use crate::script::{WAIT, check_length, check_number};
-use crate::words::{Words, split};
-use crate::{DeviceError, Word};
+use crate::words::split;
 
 /// What a card says of a script.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -38,132 +41,41 @@ pub fn check_by_card(card: &Card, text: &str) -> Result<Carded, DeviceError> {
 
 fn statements(card: &Card, text: &str) -> Result<Carded, DeviceError> {
     check_length(text)?;
-    let mut read = Vec::new();
+    let verbs: Vec<Arc<CardVerb>> = card.verbs.iter().cloned().map(Arc::new).collect();
+    let (mut read, mut places) = (Vec::new(), Vec::new());
     for mut words in split(text) {
         let Some(verb) = words.next() else { continue };
         let number = check_number(read.len(), verb.at)?;
         let statement = match verb.text {
-            WAIT => wait(&mut words).map(|_| None),
-            _ => statement(card, verb, &mut words).map(Some),
+            WAIT => wait(&mut words)
+                .and_then(|_| ends(verb, &mut words))
+                .map(|()| None),
+            _ => read_statement(&verbs, verb, &mut words).map(Some),
         };
-        let statement = statement.and_then(|statement| ends(verb, &mut words).map(|()| (statement, verb.at)));
         read.push(statement.map_err(|error| error.at_statement(number))?);
+        places.push(verb.at);
     }
     if read.is_empty() {
         return Err(DeviceError::syntax(0, "the script has no statement"));
     }
-    let (count, mut places) = (read.len(), read.iter().zip(1..));
-    let stray = places.find_map(|((verb, at), number)| {
-        let verb =
-            verb.filter(|verb| (verb.velocity && count > 1) || (verb.last && number as usize != count))?;
-        let how = if verb.velocity {
-            "stands alone in"
-        } else {
-            "must be the last statement of"
-        };
-        let error = DeviceError::syntax(*at, format!("`{}` {how} its script", verb.name));
-        Some(error.at_statement(number))
-    });
-    match stray {
-        Some(error) => Err(error),
-        None => {
-            let moving = || {
-                read.iter()
-                    .filter_map(|(verb, _)| *verb)
-                    .filter(|verb| verb.moves)
-            };
-            Ok(Carded {
-                relative: moving()
-                    .find(|verb| !verb.in_place)
-                    .is_some_and(|verb| verb.relative),
-                moves: moving().next().is_some(),
-            })
-        }
-    }
-}
-
-fn statement<'a>(card: &'a Card, verb: Word<'_>, words: &mut Words<'_>) -> Result<&'a CardVerb, DeviceError> {
-    let Some(known) = card.verb(verb.text) else {
-        let names = card.verbs.iter().map(|verb| &*verb.name).chain([WAIT]);
-        let nearest = mom_nearest::most_similar(&verb.short().to_lowercase(), names).unwrap_or_default();
-        let text = format!("there is no `{}`; did you mean `{nearest}`?", verb.short());
-        return Err(DeviceError::syntax(verb.at, text));
-    };
-    for arg in &known.args {
-        if words.is_over() && arg.default.is_some() {
-            return Ok(known);
-        }
-        argument(known, arg, words)?;
-    }
-    let again = known.args.len().saturating_sub(known.repeats as usize);
-    while known.repeats > 0 && !words.is_over() {
-        for arg in known.args.get(again..).unwrap_or_default() {
-            argument(known, arg, words)?;
-        }
-    }
-    Ok(known)
-}
-
-fn argument(verb: &CardVerb, arg: &CardArg, words: &mut Words<'_>) -> Result<(), DeviceError> {
-    let usage = verb.usage();
-    let word = words.need(&verb.name, &format!("`{usage}`"), &arg.name)?;
-    if arg.choices.iter().any(|choice| choice == word.text) {
-        return Ok(());
-    }
-    let wrong = |text: String| Err(DeviceError::syntax(word.at, text));
-    let number = match arg.kind {
-        CardType::Word | CardType::Attachment if arg.choices.is_empty() => return Ok(()),
-        CardType::Word | CardType::Attachment => {
-            let choices = arg.choices.iter().map(|choice| &**choice);
-            let nearest =
-                mom_nearest::most_similar(&word.short().to_lowercase(), choices).unwrap_or_default();
-            return wrong(format!(
-                "there is no `{}`; did you mean `{nearest}`?",
-                word.short()
-            ));
-        }
-        CardType::Whole => word.text.parse::<i64>().ok().map(|number| number as f64),
-        CardType::Number => word.text.parse::<f64>().ok().filter(|number| number.is_finite()),
-    };
-    let Some(number) = number else {
-        let kind = if arg.kind == CardType::Whole {
-            "whole number"
-        } else {
-            "number"
-        };
-        return wrong(format!(
-            "{} is `{}`, which is not a {kind}",
-            arg.name,
-            word.short()
-        ));
-    };
-    let (low, high) = (
-        arg.min.is_some_and(|min| number < min),
-        arg.max.is_some_and(|max| number > max),
-    );
-    if !low && !high {
-        return Ok(());
-    }
-    let range = match (arg.min, arg.max) {
-        (Some(min), Some(max)) => format!("{min} to {max}"),
-        (Some(min), None) => format!("{min} and more"),
-        (_, max) => format!("{} and less", max.unwrap_or_default()),
-    };
-    let unit = if arg.unit.is_empty() {
-        String::new()
-    } else {
-        format!(" {}", arg.unit)
-    };
-    wrong(format!(
-        "{} is {}, `{}` takes {range}{unit}",
-        arg.name,
-        word.short(),
-        verb.name
-    ))
+    let verbs = || read.iter().map(|call| call.as_ref().map(Call::verb));
+    check_places(verbs()).map_err(|(number, text)| {
+        let at = places.get(number as usize - 1).copied().unwrap_or_default();
+        DeviceError::syntax(at, text).at_statement(number)
+    })?;
+    let moving = || verbs().flatten().filter(|verb| verb.moves);
+    Ok(Carded {
+        relative: moving()
+            .find(|verb| !verb.in_place)
+            .is_some_and(|verb| verb.relative),
+        moves: moving().next().is_some(),
+    })
 }
 
 #[cfg(test)]
 mod tests {
+    use mom_client::{CardArg, CardType};
+
     use super::*;
 
     fn card() -> Card {

@@ -6,13 +6,16 @@
 //! decides how they are answered, and [`DevicePeer`] connects it to the hub.
 
 mod back;
+mod call;
 mod carded;
 mod clock;
 mod command;
 mod contexts;
+mod declared;
 mod error;
 mod fresh;
 mod machine;
+mod obey;
 mod outlet;
 mod pull;
 mod queue;
@@ -25,12 +28,15 @@ mod server;
 mod words;
 
 pub use back::{come_back, stay};
+pub use call::Call;
 pub use carded::{Carded, check_by_card};
 pub use clock::{instant_of, sleep_or_wait, time_since};
 pub use command::{Command, Order, Progress, QueueEvent, State};
 pub use contexts::{ensure, ensure_above, ensure_guarded, ensure_session, is_missing};
+pub use declared::{Declared, Device};
 pub use error::{DeviceError, ErrorName};
 pub use machine::{Machine, STATE_PERIOD, card};
+pub use obey::obey;
 pub use outlet::{Outlet, Sending, sender};
 pub use queue::{CommandQueue, MAX_WAITING};
 pub use rest::{AtRest, REST, Rest, Sample};

@@ -107,7 +107,7 @@ fn check_card<M: Machine>(machine: &M, statements: &Statements) {
     assert_eq!(read.as_ref(), Ok(&card), "a hub takes it");
     for verb in &card.verbs {
         assert!(
-            M::VERBS.contains(&&*verb.name),
+            M::VERBS.is_empty() || M::VERBS.contains(&&*verb.name),
             "{} is a statement of {}",
             verb.name,
             M::NAME

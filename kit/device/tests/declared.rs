@@ -1,0 +1,269 @@
+//! A device that declares its verbs does what every device does.
+
+use mom_client::{Card, CardArg, CardType, CardVerb, Map, Value};
+use mom_device::{
+    Attachments, Call, Declared, Device, DeviceError, DeviceTime, ErrorName, Machine as _, Script,
+};
+use mom_device_cases::{Stage, Statements, replay};
+
+/// mm/s.
+const SPEED: f64 = 100.0;
+/// mm from the middle of its rail to an end.
+const END: f64 = 1000.0;
+
+/// A cart on a rail, as its author would write it, with a simulated motor.
+#[derive(Debug, Default)]
+struct Cart<const COMPLETES: bool> {
+    now: DeviceTime,
+    x: f64,
+    planned: f64,
+    speed: f64,
+    /// Where it is told to drive.
+    to: Option<f64>,
+    halts: u32,
+}
+
+impl<const COMPLETES: bool> Device for Cart<COMPLETES> {
+    const NAME: &str = "the cart";
+    const COMPLETES_ON_GIVE: bool = COMPLETES;
+
+    fn verbs() -> Vec<CardVerb> {
+        let x = CardArg::number("x", "mm").within(-2.0 * END..=2.0 * END);
+        vec![
+            CardVerb::motion("go", "Drives to a place").args([x]),
+            CardVerb::motion("by", "Drives so far")
+                .relative()
+                .args([CardArg::number("way", "mm")]),
+            CardVerb::motion("jog", "Drives at this speed")
+                .velocity()
+                .args([CardArg::number("speed", "mm/s")]),
+        ]
+    }
+
+    fn describe(card: Card) -> Card {
+        card.measures("x", "mm", "Where it is")
+    }
+
+    fn begin(&mut self, call: &Call) -> Result<(), DeviceError> {
+        self.to = match call.name() {
+            "go" => Some(call.number("x")?),
+            "by" => Some(self.x + call.number("way")?),
+            _ => None,
+        };
+        self.speed = match self.to {
+            Some(to) => SPEED * (to - self.x).signum(),
+            None => call.number("speed")?,
+        };
+        Ok(())
+    }
+
+    fn is_done(&mut self) -> Result<bool, DeviceError> {
+        Ok(self.to.is_none())
+    }
+
+    fn halt(&mut self) {
+        (self.speed, self.to, self.planned) = (0.0, None, self.x);
+        self.halts += 1;
+    }
+
+    fn position(&self) -> Map {
+        Map::new().with("x", Value::Double(self.x))
+    }
+
+    fn plan(&mut self, calls: &[(&Call, u32)]) -> Result<(), DeviceError> {
+        let mut planned = self.planned;
+        for (call, number) in calls {
+            planned = match call.name() {
+                "go" => call.number("x")?,
+                "by" => planned + call.number("way")?,
+                _ => planned,
+            };
+            if planned.abs() > END {
+                let error = DeviceError::new(ErrorName::WorkspaceBoundary, "the rail ends before");
+                return Err(error.at_statement(*number));
+            }
+        }
+        self.planned = planned;
+        Ok(())
+    }
+
+    fn advance(&mut self, now: DeviceTime) {
+        let way = self.speed * (now - self.now) as f64 / 1e6;
+        self.now = now;
+        match self.to {
+            Some(to) if (to - self.x).abs() <= way.abs() => (self.x, self.speed, self.to) = (to, 0.0, None),
+            _ => self.x += way,
+        }
+    }
+}
+
+const STATEMENTS: Statements = Statements {
+    go: "go 100",
+    back: "go 0",
+    wrong: "og 100",
+    beyond: Some(("go 1001", "workspace-boundary 5002")),
+    relative: Some("by 20"),
+    velocity: Some("jog 50"),
+};
+
+fn stage<const COMPLETES: bool>() -> Stage<Declared<Cart<COMPLETES>>> {
+    Stage::bare(Declared::new(Cart::default())).pushed_by(|cart| cart.device_mut().speed = 50.0)
+}
+
+#[test]
+fn a_declared_cart_does_what_every_device_does() {
+    assert_eq!(replay(|| stage::<false>(), &STATEMENTS), 49);
+}
+
+#[test]
+fn one_that_completes_its_statement_does_so_too() {
+    assert_eq!(replay(|| stage::<true>(), &STATEMENTS), 53);
+}
+
+/// The tools of a kitchen: what no motion shows.
+#[derive(Debug, Default)]
+struct Kitchen {
+    told: Vec<String>,
+    fails: bool,
+}
+
+impl Device for Kitchen {
+    const NAME: &str = "the kitchen";
+
+    fn verbs() -> Vec<CardVerb> {
+        vec![
+            CardVerb::new("light", "Switches the light")
+                .args([CardArg::one_of("to", &["on", "off"]).or("on")]),
+            CardVerb::new("play", "Plays a sound").args([CardArg::new("sound", CardType::Attachment)]),
+            CardVerb::motion("follow", "Follows a path")
+                .args([CardArg::number("x", "mm")])
+                .repeating(1),
+            CardVerb {
+                last: true,
+                ..CardVerb::motion("clean", "Cleans until it is told otherwise")
+            },
+        ]
+    }
+
+    fn begin(&mut self, call: &Call) -> Result<(), DeviceError> {
+        let told = match call.name() {
+            "light" => format!("light {}", call.word("to")?),
+            "play" => format!("play {:?}", call.bytes("sound")?),
+            "follow" => format!("follow {:?}", call.numbers().collect::<Vec<_>>()),
+            _ => format!("clean {}", call.number("where")?),
+        };
+        self.told.push(told);
+        Ok(())
+    }
+
+    fn is_done(&mut self) -> Result<bool, DeviceError> {
+        match self.fails {
+            true => Err(DeviceError::new(ErrorName::Obstacle, "a cat is in the way")),
+            false => Ok(true),
+        }
+    }
+
+    fn halt(&mut self) {
+        self.told.push("halt".to_owned());
+    }
+
+    fn position(&self) -> Map {
+        Map::new()
+    }
+}
+
+fn told(script: &str, attached: &Map) -> Result<Vec<String>, DeviceError> {
+    let attachments = Attachments::of(attached)?;
+    let script = Script::read_with::<Declared<Kitchen>>(script, &attachments)?;
+    let mut kitchen = Declared::new(Kitchen::default());
+    kitchen.plan(&script)?;
+    for (call, _) in script.actions() {
+        kitchen.begin(call, 1)?;
+        assert_eq!(kitchen.pursue(2), Some(2));
+    }
+    Ok(kitchen.device().told[1..].to_vec())
+}
+
+#[test]
+fn a_statement_is_told_with_its_values() {
+    let sounds = Map::new().with("bell", Value::Binary(vec![1, 2].into()));
+    let script = "light; light off; wait 5; play bell; follow 1 2 3";
+    let found = told(script, &sounds);
+    assert_eq!(
+        found.unwrap(),
+        ["light on", "light off", "play [1, 2]", "follow [1.0, 2.0, 3.0]"]
+    );
+    for (script, words) in [
+        (
+            "light offf",
+            "statement 1: there is no `offf`; did you mean `off`?",
+        ),
+        (
+            "light on; foll 1",
+            "statement 2: there is no `foll`; did you mean `follow`?",
+        ),
+        (
+            "follow",
+            "statement 1: `follow` takes `follow x/mm …`; x is missing",
+        ),
+        (
+            "clean; light",
+            "statement 1: `clean` must be the last statement of its script",
+        ),
+        (
+            "play drum",
+            "statement 1: `drum` did not come with the script, but bell",
+        ),
+        (
+            "clean",
+            "the program of the device asks `clean` for `where`, which is not a number of it",
+        ),
+    ] {
+        assert_eq!(told(script, &sounds).unwrap_err().to_string(), words, "{script}");
+    }
+}
+
+#[test]
+fn what_cannot_go_on_ends_its_command_and_halts_the_device() {
+    let mut stage = Stage::new(Declared::new(Kitchen::default()));
+    stage.note(|kitchen| kitchen.device_mut().fails = true);
+    stage.act("alice command 1 5: follow 1; light");
+    let heard = stage.heard();
+    assert!(
+        heard.contains(&"status alice/1 error 1/2 obstacle 5110".to_owned()),
+        "{heard:?}"
+    );
+    let machine = stage.server().machine();
+    assert_eq!(machine.device().told.last().map(String::as_str), Some("halt"));
+}
+
+#[test]
+fn whatever_ends_it_the_device_is_halted() {
+    #[derive(Debug)]
+    struct Wheel(std::sync::Arc<std::sync::Mutex<Vec<&'static str>>>);
+    impl Device for Wheel {
+        const NAME: &str = "the wheel";
+        fn verbs() -> Vec<CardVerb> {
+            vec![CardVerb::motion("spin", "Spins")]
+        }
+        fn begin(&mut self, _: &Call) -> Result<(), DeviceError> {
+            self.0.lock().unwrap().push("spin");
+            Ok(())
+        }
+        fn is_done(&mut self) -> Result<bool, DeviceError> {
+            Ok(false)
+        }
+        fn halt(&mut self) {
+            self.0.lock().unwrap().push("halt");
+        }
+        fn position(&self) -> Map {
+            Map::new()
+        }
+    }
+    let told = std::sync::Arc::default();
+    let mut wheel = Declared::new(Wheel(std::sync::Arc::clone(&told)));
+    let script = Script::read::<Declared<Wheel>>("spin").unwrap();
+    wheel.begin(script.actions().next().unwrap().0, 0).unwrap();
+    drop(wheel);
+    assert_eq!(*told.lock().unwrap(), ["halt", "spin", "halt"]);
+}
