@@ -14,6 +14,7 @@ mod contexts;
 mod control;
 mod drive;
 mod look;
+mod new;
 mod parse;
 mod stop;
 
@@ -29,6 +30,7 @@ use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, INHIBIT, INVITE, 
 use self::drive::{CARD, JOG, RUN, TRACE};
 pub(crate) use self::drive::{CardArgs, JogArgs, RunArgs, TraceArgs};
 use self::look::{LOGS, TOP};
+pub(crate) use self::new::{Language, NewCommand, NewDeviceArgs};
 use self::stop::{STOP, UNSTOP};
 
 /// Look at a hub, talk through it, and drive the devices connected to it.
@@ -156,6 +158,9 @@ pub(crate) enum Command {
     /// Make a key pair, so that a device needs no password
     #[command(after_help = KEYGEN)]
     Keygen(KeygenArgs),
+    /// Begin a device of your own, in Python, JavaScript or Rust
+    #[command(subcommand)]
+    New(NewCommand),
     /// Tell the settings of a camera, or change them
     #[command(after_help = CAMERA)]
     Camera(CameraArgs),

@@ -56,7 +56,8 @@ fn write(file: &Path, pem: &str, force: bool) -> io::Result<()> {
     fs::rename(&new, file).inspect_err(|_| drop(fs::remove_file(&new)))
 }
 
-fn write_new(file: &Path, pem: &str) -> io::Result<()> {
+/// Writes a new file that its owner alone may read.
+pub(super) fn write_new(file: &Path, pem: &str) -> io::Result<()> {
     let mut options = OpenOptions::new();
     options.write(true).create_new(true);
     // From the first byte on, not afterwards.

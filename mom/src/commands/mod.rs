@@ -23,6 +23,7 @@ mod keygen;
 mod lab;
 mod logs;
 mod manage;
+mod new;
 mod offers;
 mod request;
 mod rsp;
@@ -79,6 +80,7 @@ pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Trace(args) => trace::run(args, global, output).await,
         Command::Jog(args) => jog::run(args, global, output).await,
         Command::Chat(args) => chat::run(args, global, output).await,
+        Command::New(command) => new::run(command, output),
         Command::Keygen(args) => keygen::run(args, global, output),
         Command::Doctor(args) => doctor::run(args, global, output).await,
         Command::Camera(args) => camera::run(args, global, output).await,

@@ -35,6 +35,7 @@ mod listen;
 mod login;
 mod losses;
 mod mcp;
+mod newcomer;
 mod objects;
 mod occupied;
 #[cfg(target_os = "linux")]
