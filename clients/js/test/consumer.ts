@@ -1,5 +1,5 @@
 // What a program in TypeScript may rely on; `tsc` reads it against the types that are packed.
-import { attachment, device, number, sleep, verb, word, type Obeying } from "../dist/types/device/index.js";
+import { attachment, device, number, runs, sleep, verb, word, type Obeying } from "../dist/types/device/index.js";
 import { Key, MomError, Time, connect, isObeyed, type Event, type LinkState, type StopState } from "../dist/types/index.js";
 
 export async function drive(pem: string): Promise<number> {
@@ -18,7 +18,7 @@ export async function stop(user: string): Promise<Obeying> {
   await client.unstop("/robot", Object.fromEntries(channels.filter(isObeyed).map(({ path, number }) => [path, number])), { within: 0 });
   await client.unstop("/robot/arm", state.number);
   console.log(others, denied.length, state.since?.toDate(), channels[0]?.devices[0]?.word === "lost");
-  return client.obey("/robot/arm", cart(0));
+  return runs(await client.obey("/robot/arm", cart(0)));
 }
 
 /** What a function gets follows from its declaration. */

@@ -19,6 +19,7 @@ class Cart extends Machine {
   speed = 0;
   until = 0;
   jogs = false;
+  pushed = 0;
 
   constructor(completes) {
     super();
@@ -73,12 +74,12 @@ class Cart extends Machine {
 
   halt(now) {
     this.advance(now);
-    [this.speed, this.jogs, this.planned] = [0, false, this.x];
+    [this.speed, this.jogs, this.planned, this.pushed] = [0, false, this.x, 0];
   }
 
   advance(now) {
     const ends = Math.min(now, this.until);
-    this.x += (this.speed * Math.max(0, ends - this.now)) / 1e6;
+    this.x += (this.speed * Math.max(0, ends - this.now) + this.pushed * (now - this.now)) / 1e6;
     if (now >= this.until) [this.speed, this.jogs] = [0, false];
     this.now = now;
   }
@@ -86,12 +87,17 @@ class Cart extends Machine {
   position() {
     return { x: this.x };
   }
+
+  /** As by a hand. */
+  push() {
+    this.pushed = 50;
+  }
 }
 
 const STATEMENTS = { go: "go 100", back: "go 0", wrong: "og 100", beyond: "go 1001", "beyond-error": "workspace-boundary 5002", relative: "by 20", velocity: "jog 50" };
 
 // Some dialogues are played for each of several events; none may be left out in silence.
-for (const [completes, name, least] of [[false, "a cart", 48], [true, "a cart that completes its statement", 52]]) {
+for (const [completes, name, least] of [[false, "a cart", 49], [true, "a cart that completes its statement", 53]]) {
   test(`${name} does what every device does`, async () => {
     const played = await replay(() => new Cart(completes), STATEMENTS);
     assert.ok(played >= least, `${played} dialogues`);

@@ -111,6 +111,8 @@ export class Stage {
         for (let id = 1; id <= Number(second); id++) await this.#command("alice", [String(id), "5"], "wait 1000");
         this.out = [];
         return;
+      case "pushed":
+        return this.server.note(this.now, () => this.server.machine.push(), this.out);
       case "report":
         return this.server.report(this.out);
       case "gate":
@@ -256,7 +258,7 @@ export async function replay(make, statements, settings = {}) {
     const [title, ...all] = dialogue.split("\n");
     const word = (key) => all.find((line) => line.startsWith(`${key} `))?.slice(key.length + 1);
     const { completes, stoppingTime } = make();
-    const has = { completes, "halts-on-give": !completes, ...Object.fromEntries(["beyond", "relative", "velocity"].map((key) => [key, key in statements])) };
+    const has = { completes, "halts-on-give": !completes, pushes: "push" in make(), ...Object.fromEntries(["beyond", "relative", "velocity"].map((key) => [key, key in statements])) };
     const needed = word("needs");
     assert.ok(needed === undefined || needed in has, `no dialogue can need ${needed}`);
     if (needed !== undefined && !has[needed]) continue;

@@ -5,10 +5,14 @@
 
 from __future__ import annotations
 
+import asyncio
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Optional, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple
 
 import mom
+from mom.device import Device
+from mom.device.declared import DeclaredMachine
 from mom.device.machine import Machine
 from mom.device.server import DeviceServer, Resumed
 from mom.parcel import Parcel
@@ -122,6 +126,8 @@ class Stage:
             for number in range(1, int(rest[0]) + 1):
                 self.command("alice", [str(number), "5"], "wait 1000")
             self.out = []
+        elif words == ["pushed"]:
+            self.out += self.server.note(self.now, lambda machine: getattr(machine, "device", machine).push())
         elif words == ["report"]:
             self.out += self.server.report()
         elif rest[:1] == ["command"]:
@@ -213,6 +219,78 @@ class Stage:
             if lines[-1:] != [line] or not line.endswith(" moving"):
                 lines.append(line)
         return lines
+
+
+class VirtualLoop(asyncio.SelectorEventLoop):
+    """A loop whose time is that of a dialogue."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.micros = 0
+
+    def time(self) -> float:
+        return self.micros / 1e6
+
+    def settle(self) -> None:
+        """Lets all that is due happen."""
+        for _ in range(8):
+            self.call_soon(self.stop)
+            self.run_forever()
+
+    def next_due(self) -> int:
+        """When a timer is due next, in µs."""
+        timers: Any = getattr(self, "_scheduled")
+        return min((round(timer.when() * 1e6) for timer in timers if not timer.cancelled()), default=1 << 60)
+
+
+class DeclaredStage(Stage):
+    """The stage of a device that declares its verbs: their timers pass with the time of the dialogue."""
+
+    def __init__(self, machine: DeclaredMachine) -> None:
+        super().__init__(machine)
+        self.loop: VirtualLoop = machine.device.loop  # type: ignore[attr-defined]
+        asyncio.set_event_loop(self.loop)
+        machine.on_end = lambda task: self.out.extend(self.server.note(self.now, lambda _: machine.ended(task, self.now)))
+
+    def act(self, line: str) -> None:
+        self.loop.micros = self.now
+        if line.startswith("frozen"):
+            self.loop.micros += int(line.split()[1]) * 1000
+        super().act(line)
+        self.loop.settle()
+
+    def pass_time(self, ms: int) -> None:
+        until = self.now + ms * 1000
+        while True:
+            self.loop.settle()
+            due = self.server.next_wake()
+            due = min(until if due is None else due, self.loop.next_due())
+            if due >= until:
+                break
+            self.now = self.loop.micros = max(due, self.now)
+            self.out += self.server.advance(self.now)
+        self.now = self.loop.micros = until
+        self.out += self.server.advance(until)
+        self.loop.settle()
+
+
+def declared(device: Device) -> DeclaredMachine:
+    """The machine of a device that has a loop of the dialogue's time."""
+    return DeclaredMachine(device, device.loop.time)  # type: ignore[attr-defined]
+
+
+@contextmanager
+def declared_stage(device: Device) -> Iterator[DeclaredStage]:
+    """It rests under fence 5."""
+    machine = declared(device)
+    stage = DeclaredStage(machine)
+    try:
+        stage.comes_to_rest()
+        yield stage
+    finally:
+        machine.give_up()
+        stage.loop.settle()
+        stage.loop.close()
 
 
 def _tells_rest(parcel: Parcel) -> bool:

@@ -225,7 +225,7 @@ def test_whatever_comes_each_command_ends_once_and_nothing_moves_that_may_not(se
         stage.heard()
         state = stage.server.state()
         if stage.server.latch.is_stopped or stage.server.latch.may_move() is not None:
-            assert not machine.is_driven and state.executing is None and state.waiting == 0
+            assert not machine.acts and state.executing is None and state.waiting == 0
         assert not (state.rest and (machine.speed or state.moving)), "what moves does not rest"
         due = stage.server.next_wake()
         assert due is None or due > stage.now or stage.server.advance(due) is not None

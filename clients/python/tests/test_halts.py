@@ -218,6 +218,20 @@ async def test_a_device_whose_verb_does_not_end_refuses_commands(robot: Robot, w
         await robot.until(lambda: "lamp" in cart.told)
 
 
+@pytest.mark.parametrize("word", ["defy", "entrust"])
+async def test_no_later_statement_waits_for_a_verb_that_does_not_end(robot: Robot, word: str) -> None:
+    cart = await start(robot)
+    await begin(robot, word)
+    robot.say("stop", number=7)
+    robot.say("unstop", number=7)
+    # It was given up on while this waits.
+    robot.say("command", "wait 400; lamp", id=2)
+    await robot.until(lambda: ended(robot, 2))
+    assert robot.errors() == [(1, "stopped"), (2, "link")] and "lamp" not in cart.told
+    assert f"`{word}` was halted and does not end" in robot.why(2)
+    cart.free.set()
+
+
 async def test_what_rolls_after_its_command_is_said_to_move(robot: Robot) -> None:
     cart = await start(robot)
     cart.rolls_for = 0.4

@@ -26,6 +26,7 @@ class Cart(Device):
         self.cleared = asyncio.Event()
         self.check: Callable[[Call], None] = lambda call: None
         self.peer: Any = None
+        self.blocking: Callable[[], None] = lambda: None
 
     def halt(self) -> None:
         self.told.append("halt")
@@ -79,6 +80,16 @@ class Cart(Device):
         while True:
             self.told.append("blink")
             await asyncio.sleep(0.005)  # tidy: it blinks again and again
+
+    @verb
+    def block(self) -> None:
+        self.told.append("block")
+        self.blocking()
+
+    @verb(velocity=200)
+    def creep(self, speed: float) -> None:
+        self.told.append(f"creep {speed:g}")
+        self.blocking()
 
     @verb(moves=False)
     def lamp(self) -> None:
@@ -175,11 +186,11 @@ async def test_what_a_halted_verb_clears_up_ends_before_the_next_one_begins(robo
     robot.say("command", "lamp", id=2)
     await robot.until(lambda: robot.errors() and [one for one in robot.said("status") if one.get("id") == 2])
     await robot.settled()
-    assert cart.told == ["sweep", "halt", "halt"], "the next one waits"
+    assert robot.deeds == ["sweep", "halt"], "the next one waits"
     assert robot.said("state")[-1]["moving"], "it may do what is not known"
     cart.cleared.set()
     await ends(robot, 2)
-    assert cart.told == ["sweep", "halt", "halt", "cleared", "halt", "lamp"]
+    assert robot.deeds == ["sweep", "halt", "cleared", "halt", "lamp"]
 
 
 async def test_a_verb_that_ignores_its_halt_is_halted_again(robot: Robot, caplog: pytest.LogCaptureFixture) -> None:
@@ -249,6 +260,33 @@ async def test_a_verb_that_is_halted_before_its_first_step_takes_none(robot: Rob
     await ends(robot, 0, 1, 2)
     await robot.settled()
     assert set(cart.told) <= {"step", "halt"} and cart.told[-1] == "halt"
+
+
+@pytest.mark.parametrize("word", ["block", "creep 5"])
+@pytest.mark.parametrize("seconds", [0.3, 2.5])
+@pytest.mark.parametrize("is_stopped", [False, True])
+async def test_what_came_while_a_plain_verb_blocked_is_heard_before_its_end(
+    robot: Robot, word: str, seconds: float, is_stopped: bool
+) -> None:
+    cart = await start(robot)
+    skipped, clock = 0.0, robot.arm._clock
+    robot.arm._clock = lambda: clock() + skipped
+
+    def blocking() -> None:
+        nonlocal skipped
+        skipped += seconds
+        if is_stopped:
+            robot.say("stop", number=7)
+
+    cart.blocking = blocking
+    robot.say("command", word if " " in word else f"{word}; lamp", id=1)
+    robot.say("command", "lamp", id=2)
+    await ends(robot, 1, 2)
+    word_of = "stopped" if is_stopped else "halted"
+    failed = is_stopped or seconds > 1
+    assert robot.errors() == ([(1, word_of), (2, word_of)] if failed else [])
+    assert ("lamp" in cart.told) != failed and (cart.told[-1] == "halt") == failed
+    assert failed or word == "block" or cart.told.index("halt") < cart.told.index("lamp")
 
 
 async def test_no_verb_takes_a_step_after_its_program_stood_still(robot: Robot) -> None:

@@ -100,7 +100,9 @@ export function checkVerbs(verbs: { readonly [name: string]: Verb }): void {
     if (!NAME.test(name) || name === "wait") {
       throw new TypeError(`a verb is a word of letters, digits, - and _, and not \`wait\`, which all devices know: ${JSON.stringify(name)}`);
     }
-    if (typeof act !== "function") throw new TypeError(`the verb \`${name}\` has no function`);
+    if (typeof act !== "function" || /Generator/.test(act.constructor.name)) {
+      throw new TypeError(`the verb \`${name}\` has no function, or a generator, which does nothing`);
+    }
     let optional = false;
     for (const [arg, { terms }] of Object.entries(args)) {
       if (!NAME.test(arg)) throw new TypeError(`an argument of \`${name}\` is a word of letters, digits, - and _: ${JSON.stringify(arg)}`);

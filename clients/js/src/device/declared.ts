@@ -22,7 +22,9 @@ interface Running {
   /** The device was halted although its function had not ended, so that this may actuate it still. */
   halted: boolean;
   /** When its function has ended, µs. */
-  done: number | undefined;
+  done?: number;
+  /** Until when the velocity waits for its end to which it has given way, µs. 0: nothing waits for it (any more). NaN: whatever comes does. */
+  yields: number;
 }
 
 /** What drives it: the time, what is done when a function has ended, and where to what goes wrong is logged. */
@@ -34,7 +36,8 @@ export interface Driver {
 
 /**
  * Carries statements out by the functions of a declaration. No function begins before the one before it has ended, whatever that does
- * with its signal, nor before a promise of `halt` is fulfilled; and what was halted meanwhile is halted once more when it has ended. Where
+ * with its signal, nor before a promise of `halt` is fulfilled; and what was halted meanwhile is halted once more when it has ended. A
+ * velocity waits for the one that gives way to it for the stopping time only: the device is halted then, and it begins. Where
  * `halt`, `position` or `report` throw, or give what cannot be said, nothing is known of the device any more: it is `broken`, is said to
  * be out of reach, and takes no command.
  */
@@ -118,7 +121,12 @@ export class DeclaredMachine extends Machine<Call> {
   // What it does.
 
   override isMoving(): boolean {
-    return this.#yielding !== undefined || this.#halts.size > 0 || [...this.#unsettled].some(({ call }) => call.verb.kind !== "instant");
+    return this.isDriven() || [...this.#unsettled].some(({ call }) => call.verb.kind !== "instant");
+  }
+
+  /** A function that was halted may not move it. */
+  override isDriven(): boolean {
+    return this.#yielding !== undefined || this.#halts.size > 0 || [...this.#unsettled].some(({ call, halted }) => call.verb.kind !== "instant" && !halted);
   }
 
   override movedAt(): number | undefined {
@@ -135,29 +143,49 @@ export class DeclaredMachine extends Machine<Call> {
 
   override begin(call: Call, now: number): void {
     this.#now = now;
-    if (this.#yielding !== undefined && call.verb.kind !== "velocity") this.#brake();
+    if (this.#yielding !== undefined && call.verb.kind !== "velocity") this.#yieldInVain();
     this.#yielding = undefined;
     if (this.broken) throw new DeviceError("link", `${this.name} has failed`);
-    const running: Running = { call, control: new AbortController(), started: false, halted: false, done: undefined };
-    // However many wait one after the other, what is to end has its time once.
-    const patient = this.#patient ?? Math.max(now + this.patience, ...[...this.#halts].map(({ late }) => late));
-    this.#forgetUnbegun();
+    const running: Running = { call, control: new AbortController(), started: false, halted: false, yields: 0 };
     this.#current = running;
     this.#unsettled.add(running);
-    this.#patient = patient;
+    // However many wait one after the other, what is to end has its time once.
+    this.#patient = this.#yieldsUntil(call) || (this.#patient ?? this.#patience(now));
     this.#startNext();
+  }
+
+  /** Until when what is to end may take for that. */
+  #patience(now: number): number {
+    return Math.max(now + this.patience, ...[...this.#halts].map(({ late }) => late));
+  }
+
+  /** Until when a velocity waits for those that have given way; 0 or NaN where it waits for nothing, or for something else, too. */
+  #yieldsUntil({ verb: { kind } }: Call): number {
+    return kind === "velocity" ? Math.max(...[...this.#unsettled].map(({ yields }) => yields)) : 0;
   }
 
   /** Calls the function that waits, if there is one, as soon as it has the device for itself: two would both drive it. */
   #startNext(): void {
-    const [next] = this.#unsettled;
-    if (next && !next.started && this.#halts.size === 0 && !this.broken) this.#start(next);
-    else if (!next) this.#patient = undefined;
+    const all = [...this.#unsettled];
+    const next = all.find(({ started }) => !started);
+    const isFree = all.every((other) => other === next || (other.yields === 0 && next?.call.verb.kind === "velocity"));
+    if (!next) this.#patient = undefined;
+    else if (isFree && this.#halts.size === 0 && !this.broken) this.#start(next);
+  }
+
+  /** What has waited for another function to end waits no longer. */
+  #losePatience(call: Call, now: number): void {
+    this.#patient = undefined;
+    if (this.#yieldsUntil(call)) {
+      for (const running of this.#unsettled) running.yields = 0;
+      this.#brake();
+      this.#patient = this.#patience(now);
+      this.#startNext();
+    } else this.#failure ??= new DeviceError("link", `\`${call.name}\` could not begin: what was to end before it goes on`);
   }
 
   /** What waits for another function to end has not begun, and never will. */
   #forgetUnbegun(): void {
-    this.#patient = undefined;
     for (const running of this.#unsettled) if (!running.started) this.#unsettled.delete(running);
   }
 
@@ -165,6 +193,7 @@ export class DeclaredMachine extends Machine<Call> {
     const { call, control } = running;
     this.#patient = undefined;
     running.started = true;
+    running.yields = NaN;
     try {
       const act = call.verb.act as (values: Call["values"], signal: AbortSignal) => unknown;
       const acts = act.call(this.spec, call.values, control.signal);
@@ -240,16 +269,26 @@ export class DeclaredMachine extends Machine<Call> {
   /** The velocity that begins next goes on from its speed; before anything else it is halted. */
   override giveWay(now: number): void {
     this.#now = now;
+    if (this.#current) this.#current.yields = now + this.stoppingTime;
     this.#current?.control.abort(new DOMException("it gives way to the next command", "AbortError"));
     this.#forgetUnbegun();
     this.#yielding = now;
   }
 
+  /** No other velocity goes on from its speed. */
+  #yieldInVain(): void {
+    this.#brake();
+    this.#patient = undefined;
+  }
+
   override halt(now: number): void {
     this.#now = now;
-    for (const { control } of this.#unsettled) control.abort(new DOMException("the device is halted", "AbortError"));
+    for (const running of this.#unsettled) {
+      running.yields = NaN;
+      running.control.abort(new DOMException("the device is halted", "AbortError"));
+    }
     this.#forgetUnbegun();
-    [this.#current, this.#failure] = [undefined, undefined];
+    [this.#current, this.#failure, this.#patient] = [undefined, undefined, undefined];
     this.#brake();
   }
 
@@ -285,11 +324,8 @@ export class DeclaredMachine extends Machine<Call> {
     this.#now = Math.max(this.#now, now);
     this.#look();
     // What it has given way to did not move it, such as a `wait`.
-    if (this.#yielding !== undefined && now > this.#yielding) this.#brake();
-    if (this.#patient !== undefined && now >= this.#patient && this.#current) {
-      this.#patient = undefined;
-      this.#failure ??= new DeviceError("link", `\`${this.#current.call.name}\` could not begin: what was to end before it goes on`);
-    }
+    if (this.#yielding !== undefined && now > this.#yielding) this.#yieldInVain();
+    if (this.#patient !== undefined && now >= this.#patient && this.#current) this.#losePatience(this.#current.call, now);
   }
 
   override nextWake(): number | undefined {

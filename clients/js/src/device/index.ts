@@ -4,6 +4,7 @@
  * @packageDocumentation
  */
 export { Device, Obeying, device } from "./peer.js";
+export { runs } from "./program.js";
 export type { Planned, Spec } from "./spec.js";
 export { attachment, number, outOfReach, verb, whole, word } from "./declare.js";
 export type { Act, Arg, Args, ArgTerms, ArgType, Call, ValuesOf, Verb } from "./declare.js";

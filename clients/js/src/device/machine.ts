@@ -53,6 +53,11 @@ export abstract class Machine<A> {
   /** Whether it is busy with something that no command began, or moves on after one. */
   abstract isMoving(): boolean;
 
+  /** Whether it moves, or comes to a stand, as it was told to: if not, it is halted again where it does not rest in time. */
+  isDriven(): boolean {
+    return this.isMoving();
+  }
+
   /** When it was last seen to have moved by its tolerance, whatever has moved it: for 0.3 s it moves then. Undefined if nobody looks. */
   movedAt(): number | undefined {
     return undefined;

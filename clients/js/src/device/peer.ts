@@ -82,6 +82,8 @@ export class Obeying {
   #acts = false;
   /** Why it is not a device any more. */
   #over: string | undefined;
+  /** Called when all that it began has ended, too. */
+  #settle: () => void = () => undefined;
 
   /** @internal */
   constructor(
@@ -98,7 +100,10 @@ export class Obeying {
     );
     this.#machine = new DeclaredMachine(spec, name, {
       now: () => this.#now(),
-      wake: () => this.#do(() => undefined),
+      wake: () => {
+        this.#do(() => undefined);
+        if (this.hasEnded) this.#settle();
+      },
       log: (text, error) => console.error(`${name}: ${text}:`, error),
     });
     this.#server = new DeviceServer(this.#machine, path, Time.now(), spec.maxAge === undefined ? {} : { maxAge: spec.maxAge * 1000 });
@@ -162,6 +167,15 @@ export class Obeying {
     this.#end(GONE);
     await this.channel.leave();
     await this.ended;
+  }
+
+  /** @internal Has it stand once more, at its end. Fulfilled when all that it began has ended. */
+  halt(): Promise<void> {
+    this.#machine.halt(this.#now());
+    return new Promise((resolve) => {
+      this.#settle = resolve;
+      if (this.hasEnded) resolve();
+    });
   }
 
   /** @internal The link has another state. A loss goes through the events, so that what was heard before it counts as before it. */

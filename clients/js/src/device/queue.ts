@@ -47,6 +47,8 @@ export class CommandQueue<A> {
   #movedAt: number | undefined;
   /** It was to stand while it moved, and does not rest yet. */
   #halting = false;
+  /** When it was told to stand last, or had something under way after that; none if an action has begun since. */
+  #standsSince: number | undefined;
   /** It has a new owner, whose first motion waits until it rests, and until then at most. */
   #changesHands = false;
   #waitsUntil: number | undefined;
@@ -195,7 +197,7 @@ export class CommandQueue<A> {
     // What goes on after its command, as a wheel does, is halted too.
     if (this.isAtRest) {
       this.#doubtOldNews();
-      this.machine.halt(this.#now);
+      this.#haltMachine();
     } else {
       const error = new DeviceError("halted", `${this.machine.name} was halted: ${reason}`);
       this.#end(error, error, events);
@@ -212,7 +214,7 @@ export class CommandQueue<A> {
   stop(now: number, reason: string, events: QueueEvent[]): void {
     this.advance(now, events);
     this.#doubtOldNews();
-    if (this.#stopped) return this.machine.halt(this.#now);
+    if (this.#stopped) return this.#haltMachine();
     this.#stopped = true;
     const error = new DeviceError("stopped", `${this.machine.name} was stopped: ${reason}`);
     this.#end(error, error, events);
@@ -258,7 +260,7 @@ export class CommandQueue<A> {
   #end(error: DeviceError, behind: DeviceError, events: QueueEvent[]): void {
     const began = this.#active !== undefined && this.#active.begun > 0;
     const wasMoving = began || !this.machine.isAtRest() || this.#rolls;
-    this.machine.halt(this.#now);
+    this.#haltMachine();
     const [active, waiting] = [this.#active, this.#waiting];
     [this.#active, this.#waiting, this.#waitsUntil] = [undefined, [], undefined];
     if (wasMoving) {
@@ -353,7 +355,10 @@ export class CommandQueue<A> {
       // An action that was done without word of it, or before it was looked at, ends now.
       this.#pass(ends);
       if (this.#heedFailure(events)) return true;
-      if (this.machine.givesWay()) this.machine.giveWay(this.#now);
+      if (this.machine.givesWay()) {
+        this.machine.giveWay(this.#now);
+        this.#standsSince = this.#now;
+      }
       this.#beginStatement(events);
       return true;
     }
@@ -400,7 +405,7 @@ export class CommandQueue<A> {
     const text = `${machine.name} is changing hands, and ${why} ${Math.floor(longest / 1000)} ms after the command`;
     this.#failWaiting(new DeviceError("changing-hands", text), events);
     // What was planned from is where those would have led.
-    machine.halt(this.#now);
+    this.#haltMachine();
     this.#publishState(events);
   }
 
@@ -409,6 +414,26 @@ export class CommandQueue<A> {
     this.#now = Math.max(until, this.#now);
     this.machine.advance(this.#now);
     this.#watchRest();
+    this.#insist();
+  }
+
+  /** Has it stand. */
+  #haltMachine(): void {
+    this.machine.halt(this.#now);
+    this.#standsSince = this.#now;
+  }
+
+  /** Has it stand again where it was to, has nothing under way and does not rest by when it should: something moves it that no command began. */
+  #insist(): void {
+    const since = this.#standsSince;
+    if (since === undefined) return;
+    // Commands that wait were planned from where it stands; its own motion ends by itself.
+    if (this.isBusy || this.machine.isDriven()) {
+      this.#standsSince = this.#now;
+      return;
+    }
+    const isDue = this.#now - since >= this.machine.stoppingTime + REST;
+    if (isDue && this.#rests === undefined && this.machine.isReached()) this.#haltMachine();
   }
 
   /** Looks whether it rests: not while it is carrying something out, and not where nothing is heard of it. */
@@ -468,6 +493,7 @@ export class CommandQueue<A> {
       return;
     }
     active.ends = undefined;
+    this.#standsSince = undefined;
     try {
       this.machine.begin(statement.action, this.#now);
     } catch (error) {

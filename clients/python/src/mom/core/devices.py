@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any, Dict, Mapping
+import threading
+from typing import Any, Dict, Mapping, Optional
 
 _AT_WORK: Dict[int, Any] = {}
 """The instances that are a device now, of all clients, by their identity: a class may compare them as it likes."""
+
+
+class _Obeyed(threading.local):
+    """Those that have obeyed in the program of this thread, kept while `mom.device.run` runs it, which halts them once more at its end."""
+
+    devices: Optional[Dict[int, Any]] = None
+
+
+OBEYED = _Obeyed()
 
 
 class Devices:
@@ -25,6 +35,8 @@ class Devices:
             raise ValueError(f"this client is becoming the device of {path} already")
         if peer is not None and not peer.is_over and places.get(path) is peer.channel._place:
             raise ValueError(f"this client is the device of {path} already: that one has to `leave` first")
+        if OBEYED.devices is not None:
+            OBEYED.devices[id(device)] = device
         # Before anything is awaited.
         _AT_WORK[id(device)], self._peers[path] = device, None
         try:

@@ -32,6 +32,10 @@ _LOOK = 150_000
 """µs between two looks at a device that rests."""
 
 
+_TURNS = 10
+"""Turns of the loop in which what has come is heard, from the connection to the device."""
+
+
 @dataclass
 class Action:
     """What a statement of a declared device makes it do."""
@@ -43,11 +47,12 @@ class Action:
 class DeclaredMachine(Machine):
     """Carries out the verbs of a `Device`, on the running loop.
 
-    What a halted verb still clears up comes to its end before the next one begins. A halt follows each step that it still takes.
+    What a halted verb still clears up comes to its end before the next one begins. A halt follows each step that it still takes, and
+    others come meanwhile: what it waits for may take steps of its own.
     """
 
-    def __init__(self, device: Device) -> None:
-        self.device = device
+    def __init__(self, device: Device, clock: Callable[[], float] = time.monotonic) -> None:
+        self.device, self._clock = device, clock
         self.on_end: Callable[[asyncio.Future[Any]], None] = lambda task: None
         """Called when a verb has come to its end, which `ended` is to be told of."""
         self.may_go_on: Callable[[], None] = lambda: None
@@ -81,6 +86,8 @@ class DeclaredMachine(Machine):
         """A velocity has given way to another one, which begins now."""
         self._failure: Optional[DeviceError] = None
         self._now, self._blocked = 0, 0
+        self._stood = 0
+        """When it was halted last because a verb that was halted has not come to its end."""
         self._seen: Optional[Sample] = None
         """Where it was when it had moved by its tolerance last."""
         self._moved_at = -REST
@@ -129,6 +136,9 @@ class DeclaredMachine(Machine):
 
     def begin(self, action: Action, now: int) -> None:
         """Calls the method of a verb."""
+        stuck = self._stuck_error()
+        if stuck is not None:
+            raise stuck
         verb, goes_on = action.verb, self._rolls and action.verb.velocity is not None
         if self._rolls and not goes_on:
             self._stand()
@@ -139,10 +149,9 @@ class DeclaredMachine(Machine):
         if self._halted:
             self._run(steps, self._after_halted(steps, method, action.arguments))
             return
+        began = self._clock()
         try:
-            found = method(**action.arguments)
-            if inspect.isgenerator(found) or inspect.isasyncgen(found):
-                raise TypeError("a generator is not a verb: it would do nothing")
+            found = _call(method, action.arguments)
         except DeviceError:
             raise
         except Exception as error:
@@ -151,7 +160,30 @@ class DeclaredMachine(Machine):
             steps.take(found)
             self._run(steps, steps.run())
         else:
-            self._done, self._leaves = now, self._leaves or (verb.moves and verb.velocity is None)
+            self._leaves = self._leaves or (verb.moves and verb.velocity is None)
+            self._end_plain(steps, int((self._clock() - began) * 1e6), now)
+
+    def _end_plain(self, steps: Steps, took: int, now: int) -> None:
+        """A plain function has ended: at once, unless it has blocked."""
+        if took <= self.period or (self._until is not None and now + took < self._until):
+            self._done = now
+            return
+        if self._until is not None:
+            # Its time is over.
+            self._until = None
+            self._stand()
+        self._blocked += took
+        steps.take(self._hear_first(took))
+        self._run(steps, steps.run())
+
+    async def _hear_first(self, took: int) -> None:
+        """Behind a plain function that has blocked so long: what has come meanwhile, such as a stop, is heard before its end counts."""
+        if took > self.period:
+            await asyncio.sleep(self.period / 1e6)
+            for _ in range(_TURNS):
+                await asyncio.sleep(0)
+        if took > self.patience:
+            raise DeviceError("halted", f"{self.name} was halted: its program stood still for {took // 1000} ms")
 
     def _run(self, steps: Steps, carried_out: Any) -> None:
         task = asyncio.ensure_future(carried_out)
@@ -171,7 +203,8 @@ class DeclaredMachine(Machine):
             await asyncio.wait(set(self._halted))
         if not steps.may_go_on():
             raise asyncio.CancelledError
-        found = method(**arguments)
+        began = self._clock()
+        found = _call(method, arguments)
         if inspect.isawaitable(found):
             steps.take(found)
             await steps.run()
@@ -179,6 +212,9 @@ class DeclaredMachine(Machine):
         self._leaves = self._moves and self._until is None
         if steps.is_halted:
             self._stand_after(steps)
+        took = int((self._clock() - began) * 1e6)
+        self._blocked += took
+        await self._hear_first(took)
 
     def ended(self, task: asyncio.Future[Any], now: int) -> None:
         """A verb has come to its end, or will not."""
@@ -252,11 +288,11 @@ class DeclaredMachine(Machine):
     def _stand(self) -> None:
         for steps in self._halted.values():
             steps.is_taken_over = False
-        began = time.monotonic_ns()
+        began = self._clock()
         try:
             found: Any = self.device.halt()  # type: ignore[func-returns-value]
         finally:
-            self._blocked += (time.monotonic_ns() - began) // 1000
+            self._blocked += int((self._clock() - began) * 1e6)
         if inspect.isawaitable(found):
             if inspect.iscoroutine(found):
                 found.close()
@@ -273,7 +309,7 @@ class DeclaredMachine(Machine):
             self.on_failure(error)
 
     def blocked(self) -> int:
-        """For how long its halts have kept the program."""
+        """For how long its halts have kept the program, and plain functions behind which what has come meanwhile is heard first."""
         return self._blocked
 
     def _cancel(self, is_taken_over: bool = False) -> None:
@@ -295,6 +331,8 @@ class DeclaredMachine(Machine):
         steps = self._halted.get(task)
         if steps is None:
             return
+        # Where another velocity takes its motion over: that does not wait any longer, and begins from a stand.
+        steps.is_taken_over = False
         if not steps.give_up():
             self._undead = called
             self.on_end(task)
@@ -315,8 +353,9 @@ class DeclaredMachine(Machine):
             self._cancel()
             self._done, self._until = self._until, None
             self._stand()
-        elif self._stuck:
-            # What it does nobody can see.
+        elif now - self._stood >= self.period and any(not steps.is_taken_over for steps in self._halted.values()):
+            # What takes steps that it waits for nobody can see.
+            self._stood = now
             self._stand()
         sample = self.measured(now)
         if sample is None or not sample.is_finite():
@@ -328,15 +367,19 @@ class DeclaredMachine(Machine):
 
     def next_wake(self) -> Optional[int]:
         """It is called again and again: so it is noticed that the program stood still, and that the device is moved."""
-        acts = self._running is not None or self._leaves or self._stuck or self.is_carried()
+        acts = self._running is not None or self._leaves or self._halted or self.is_carried()
         return self._now + (self.period if acts else _LOOK)
 
     # What is known of it.
 
     def is_moving(self) -> bool:
         """Whether a verb that moves it is carried out, or one that was halted has not come to its end."""
+        return self.is_driven() or bool(self._halted)
+
+    def is_driven(self) -> bool:
+        """Whether a verb that moves it is carried out: one that was halted may not move it."""
         acts = self._running is not None or self._until is not None or self._rolls
-        return (acts and self._moves) or bool(self._halted)
+        return acts and self._moves
 
     def is_at_rest(self) -> bool:
         """Whether a halt would change nothing."""
@@ -364,6 +407,14 @@ def _check_alone(script: Script) -> None:
     for action, number in script.actions():
         if action.verb.velocity is not None and len(script.statements) > 1:
             raise syntax(0, f"`{action.verb.name}` stands alone in its script").at_statement(number)
+
+
+def _call(method: Callable[..., Any], arguments: Mapping[str, Any]) -> Any:
+    """Calls the method of a verb."""
+    found = method(**arguments)
+    if inspect.isgenerator(found) or inspect.isasyncgen(found):
+        raise TypeError("a generator is not a verb: it would do nothing")
+    return found
 
 
 def _failed(name: str, what: str, error: BaseException) -> DeviceError:

@@ -51,6 +51,10 @@ class Machine:
         """Whether it is busy with something that no command began, or moves on after one."""
         raise NotImplementedError
 
+    def is_driven(self) -> bool:
+        """Whether it moves as it was told to: if not, it is halted again where it does not rest in time."""
+        return self.is_moving()
+
     def is_at_rest(self) -> bool:
         """Whether a halt would change nothing: it does not move, and nothing that a command left behind goes on."""
         return not self.is_moving()

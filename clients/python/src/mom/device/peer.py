@@ -53,7 +53,7 @@ class DevicePeer:
         self.device = device
         """What it moves."""
         self._begin = clock()
-        self._machine = DeclaredMachine(device)
+        self._machine = DeclaredMachine(device, lambda: self._clock())
         # Before anything else: it may still do what it did before this program began.
         self._machine.halt(0)
         self._machine.on_failure = self._break

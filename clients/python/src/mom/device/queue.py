@@ -10,7 +10,7 @@ from typing import Callable, Deque, Generic, Iterator, List, Optional, TypeVar
 from .command import Command, Order, QueueEvent, State, Told
 from .errors import DeviceError
 from .machine import Machine
-from .rest import Rest
+from .rest import REST, Rest
 from .script import MAX_ATTACHED, Script, Wait
 
 MAX_WAITING = 64
@@ -68,6 +68,8 @@ class CommandQueue(Generic[M]):
         self._rest = Rest(machine.tolerance, machine.stopping_time)
         self._halting = False
         """It was to stand while it moved, and does not rest yet."""
+        self._stands_since: Optional[int] = None
+        """When it was told to stand last, or had something under way after that; none if an action has begun since."""
         self._changes_hands = False
         """It has a new owner, whose first motion waits until it rests."""
         self._waits_until: Optional[int] = None
@@ -201,7 +203,7 @@ class CommandQueue(Generic[M]):
         # What goes on after its command, as a wheel does, is halted too.
         if self.is_at_rest():
             self._doubt_old_news()
-            self.machine.halt(self.now)
+            self._halt_machine()
         else:
             error = DeviceError("halted", f"{self.machine.name} was halted: {reason}")
             self._end(error, error, events)
@@ -220,7 +222,7 @@ class CommandQueue(Generic[M]):
             error = DeviceError("stopped", f"{self.machine.name} was stopped: {reason}")
             self._end(error, error, events)
         else:
-            self.machine.halt(self.now)
+            self._halt_machine()
 
     def unstop(self, now: int, events: List[QueueEvent]) -> None:
         """Takes commands again. Nothing moves by itself: the old commands are gone."""
@@ -273,7 +275,7 @@ class CommandQueue(Generic[M]):
         text = f"{self.machine.name} is changing hands, and {why} {longest // 1000} ms after the command"
         self._drop_waiting(DeviceError("changing-hands", text), events)
         # What was planned from is where those would have led.
-        self.machine.halt(self.now)
+        self._halt_machine()
         self._publish_state(events)
 
     def _check_attached(self, script: Script) -> None:
@@ -351,6 +353,7 @@ class CommandQueue(Generic[M]):
                     continue
                 if self.machine.gives_way():
                     self.machine.give_way(self.now)
+                    self._stands_since = self.now
                 self._begin_statement(events)
             elif not self._waiting or self._silence is not None:
                 return
@@ -389,6 +392,27 @@ class CommandQueue(Generic[M]):
         self.now = max(until, self.now)
         self.machine.advance(self.now)
         self._watch_rest()
+        self._insist()
+
+    def _halt_machine(self) -> None:
+        """Has it stand."""
+        self.machine.halt(self.now)
+        self._stands_since = self.now
+
+    def _insist(self) -> None:
+        """Has it stand again where it was to, has nothing under way and does not rest by when it should.
+
+        Something moves it that no command began.
+        """
+        if self._stands_since is None:
+            return
+        # Commands that wait were planned from where it stands; its own motion ends by itself.
+        if self.is_busy or self.machine.is_driven():
+            self._stands_since = self.now
+            return
+        is_due = self.now - self._stands_since >= self.machine.stopping_time + REST
+        if is_due and self._rest.known is None and self.machine.is_reached():
+            self._halt_machine()
 
     def _watch_rest(self) -> None:
         """Looks whether it rests: not while it is carrying something out, and not where nothing is heard of it."""
@@ -470,7 +494,7 @@ class CommandQueue(Generic[M]):
             if self._told_moving != self.is_moving():
                 self._publish_state(events)
             return
-        active.ends = None
+        active.ends, self._stands_since = None, None
         try:
             self.machine.begin(statement, self.now)
         except DeviceError as error:
@@ -505,7 +529,7 @@ class CommandQueue(Generic[M]):
         """Ends the active command with one error and those behind it with another."""
         began = self._active is not None and self._active.begun > 0
         was_moving = began or not self.machine.is_at_rest()
-        self.machine.halt(self.now)
+        self._halt_machine()
         active, self._active = self._active, None
         waiting, self._waiting = self._waiting, deque()
         self._waits_until = None

@@ -88,6 +88,8 @@ class Steps:
                 error = (yield from self._turn(None)) or asyncio.CancelledError()
             if not isinstance(error, GeneratorExit) and self._is_late():
                 self.give_up()
+                # What it has waited for may have taken steps until now.
+                self._stand(self)
                 raise TimeoutError("it still took steps when the device had to stand")
             if isinstance(error, GeneratorExit):
                 # Its loop is gone.
