@@ -59,6 +59,14 @@ impl Answer {
         self
     }
 
+    /// With all of these facts more.
+    pub(crate) fn with_all(mut self, facts: serde_json::Map<String, Json>) -> Answer {
+        if let Json::Object(known) = &mut self.facts {
+            known.extend(facts);
+        }
+        self
+    }
+
     /// With more words.
     pub(crate) fn and(mut self, more: &str) -> Answer {
         if !more.is_empty() {

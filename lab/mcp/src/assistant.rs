@@ -3,15 +3,14 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_client::{
-    Client, Event, LinkState, Loan, Lost, Parcel, Token, TokenGuard, TokenInfo, Value, from_value,
-};
-use mom_drive::{DeviceChannel, Doing as _, RobotState, VerbFailure, beyond_scope, scope_end_words};
+use mom_client::{Card, Client, Event, LinkState, Loan, Lost, Parcel, Token, TokenGuard, TokenInfo};
+use mom_drive::{DeviceChannel, Doing as _, VerbFailure, beyond_scope, scope_end_words};
 use parking_lot::Mutex;
 use tokio::sync::{Notify, watch};
 use tokio::time::{Instant, sleep, timeout};
 
 use crate::answer::Answer;
+use crate::device::DeviceState;
 
 /// Between two attempts to come back to the token.
 const AGAIN: Duration = Duration::from_millis(500);
@@ -19,6 +18,8 @@ const AGAIN: Duration = Duration::from_millis(500);
 const ACCEPTED: Duration = Duration::from_secs(5);
 /// So long joining the token again may take.
 const JOINED: Duration = Duration::from_secs(5);
+/// So long the hub may take to show the card of the robot.
+const CARD: Duration = Duration::from_secs(1);
 /// So long the hub may take to have the token back.
 const END: Duration = Duration::from_secs(2);
 
@@ -38,8 +39,7 @@ pub(crate) struct Places {
 #[derive(Debug, Clone)]
 pub(crate) struct SeenState {
     pub(crate) parcel: Parcel,
-    pub(crate) state: RobotState,
-    pub(crate) linked: bool,
+    pub(crate) state: DeviceState,
 }
 
 /// The token while it is ours, or how it was lost.
@@ -144,7 +144,7 @@ impl Assistant {
     pub(crate) async fn robot_state_when(
         &self,
         patience: Duration,
-        is: impl Fn(&RobotState) -> bool,
+        is: impl Fn(&DeviceState) -> bool,
     ) -> Result<SeenState, Option<SeenState>> {
         let mut seen = self.seen.clone();
         let is_so = |seen: &Option<SeenState>| seen.as_ref().is_some_and(|seen| is(&seen.state));
@@ -156,6 +156,12 @@ impl Assistant {
         }
         drop(found);
         Err(self.seen.borrow().clone())
+    }
+
+    /// What the robot says of itself; none of one that has no card, or does not answer soon.
+    pub(crate) async fn card(&self) -> Option<Card> {
+        let card = timeout(CARD, self.client.card(&self.places.robot)).await;
+        card.ok()?.ok()?.map(|(_, card)| card)
     }
 
     /// The number of the newest state of the robot.
@@ -392,15 +398,8 @@ async fn watch_robot(mut events: mom_client::Events, see: watch::Sender<Option<S
     while let Some(event) = events.next().await {
         match event {
             Event::Message(parcel) if parcel.name() == "state" => {
-                let content = parcel.value();
-                let linked = content.get("linked").and_then(Value::as_bool).unwrap_or(true);
-                if let Ok(state) = from_value(content) {
-                    let seen = SeenState {
-                        parcel,
-                        state,
-                        linked,
-                    };
-                    see.send_replace(Some(seen));
+                if let Some(state) = DeviceState::of(&parcel) {
+                    see.send_replace(Some(SeenState { parcel, state }));
                 }
             }
             // What it does meanwhile is not known.

@@ -10,9 +10,10 @@ use tokio::time::{Instant, interval_at, timeout};
 
 use crate::answer::Answer;
 use crate::assistant::{Assistant, UNSCOPED, loss_words};
+use crate::device::{DeviceState, check};
 use crate::progress::Progress;
 use crate::script::{End, carry_out, failed, halted, hand_back, has_heard_the_end, too_fast};
-use crate::sight::{count_words, give_command, pose_words, scope_words};
+use crate::sight::{count_words, give_command, scope_words};
 
 /// How long a person may take by default: clients of MCP wait a minute.
 const PATIENCE: u64 = 50;
@@ -219,16 +220,24 @@ pub(crate) async fn run(assistant: &Assistant, script: &str, progress: &mut Prog
         Ok(guard) => guard,
         Err(answer) => return *answer,
     };
-    if assistant.is_unscoped(guard.fence())
-        && let Some(answer) = too_fast(script)
-    {
-        assistant.put(guard);
-        return answer;
-    }
+    let card = assistant.card().await;
+    let read = match check(card.as_ref(), script) {
+        Ok(is_relative) if assistant.is_unscoped(guard.fence()) => {
+            too_fast(card.as_ref(), script).map_or(Ok(is_relative), Err)
+        }
+        read => read,
+    };
+    let is_relative = match read {
+        Ok(is_relative) => is_relative,
+        Err(answer) => {
+            assistant.put(guard);
+            return answer;
+        }
+    };
     let before = assistant.newest();
     let mut runs = None;
     let mut has_ended = false;
-    let end = carry_out(assistant, &mut guard, script, progress, &mut runs).await;
+    let end = carry_out(assistant, &mut guard, (script, is_relative), progress, &mut runs).await;
     let end = match end {
         // The hub's word that the token is lost may be behind the robot's that it was halted.
         End::Failed(status) => {
@@ -279,12 +288,12 @@ pub(crate) async fn run(assistant: &Assistant, script: &str, progress: &mut Prog
     }
 }
 
-/// The answer where the token is lost. The hub has halted the arm, or the arm itself at the loss of its link; that it has is for the arm
+/// The answer where the token is lost. The hub has halted the robot, or it did so itself at the loss of its link; that it has is for the robot
 /// to say.
 fn lost_to(assistant: &Assistant, lost: Lost, loan: Option<&Loan>, has_ended: bool) -> Answer {
     let heard = match has_ended {
-        true => "the arm has ended the script",
-        false => "the arm has not said that it has ended the script: tell a person at once",
+        true => "the robot has ended the script",
+        false => "the robot has not said that it has ended the script: tell a person at once",
     };
     let words = loss_words(&assistant.places.token, &lost, loan);
     let answer = Answer::bad("lost", format!("you have {words}; do not go on; {heard}"))
@@ -294,7 +303,7 @@ fn lost_to(assistant: &Assistant, lost: Lost, loan: Option<&Loan>, has_ended: bo
     answer
 }
 
-/// With where the arm is now, and what is left of the scope.
+/// With where the robot is now, and what is left of the scope.
 async fn with_rest(assistant: &Assistant, answer: Answer, before: Option<i64>) -> Answer {
     // Its last state may come after the report. Of a script that was refused at once there is none.
     let _newer = assistant
@@ -303,18 +312,13 @@ async fn with_rest(assistant: &Assistant, answer: Answer, before: Option<i64>) -
     let rests = assistant.robot_state_when(REST, |state| !state.moving).await;
     let mut answer = answer;
     let at = match &rests {
-        Ok(_) => "the arm is at",
-        Err(_) => "by its last word, and perhaps no more, the arm is at",
+        Ok(_) => "the robot is at",
+        Err(_) => "by its last word, and perhaps no more, the robot is at",
     };
     if let Ok(seen) | Err(Some(seen)) = rests {
         assistant.tell(&seen);
-        let state = &seen.state;
-        let holding = state.holding.as_deref().unwrap_or("nothing");
-        let words = format!("{at} {}, holding {holding}", pose_words(&state.pose));
-        answer = answer.and(&words);
-        answer = answer
-            .with("pose", json!(state.pose))
-            .with("holding", json!(state.holding));
+        let words = format!("{at} {}", seen.state.place_words(assistant.card().await.as_ref()));
+        answer = answer.and(&words).with_all(facts_of(&seen.state));
     }
     let Ok(info) = assistant.token_info().await else {
         return answer;
@@ -331,7 +335,13 @@ async fn with_rest(assistant: &Assistant, answer: Answer, before: Option<i64>) -
     answer
 }
 
-/// Takes the token to move the arm; why nothing is moved.
+fn facts_of(state: &DeviceState) -> serde_json::Map<String, Json> {
+    let mut facts = serde_json::Map::new();
+    state.add_to(&mut facts);
+    facts
+}
+
+/// Takes the token to move the robot; why nothing is moved.
 async fn take(assistant: &Assistant) -> Result<TokenGuard, Box<Answer>> {
     let lost = match assistant.take().await {
         Ok(guard) => return Ok(guard),
@@ -382,8 +392,8 @@ pub(crate) async fn return_token(assistant: &Assistant) -> Answer {
         Ok(()) => {
             assistant.forget_loss();
             let text = match &to {
-                Some(to) => format!("{path} is given back to {to}; the arm stands"),
-                None => format!("{path} is free; the arm stands"),
+                Some(to) => format!("{path} is given back to {to}; the robot stands"),
+                None => format!("{path} is free; the robot stands"),
             };
             Answer::good(text, json!({"returned": true, "to": to}))
         }
@@ -403,17 +413,14 @@ pub(crate) async fn stop(assistant: &Assistant) -> Answer {
         Ok(seen) => {
             assistant.tell(&seen);
             let text = format!(
-                "the arm stands at {}, and stays so until a person lets it go by: {release}",
-                pose_words(&seen.state.pose)
+                "the robot stands at {}, and stays so until a person lets it go by: {release}",
+                seen.state.place_words(assistant.card().await.as_ref())
             );
-            Answer::good(
-                text,
-                json!({"stands": true, "pose": seen.state.pose, "unstop": release}),
-            )
+            Answer::good(text, json!({"stands": true, "unstop": release})).with_all(facts_of(&seen.state))
         }
         Err(_) => {
             let text = format!(
-                "the stop was sent, but the arm has not said within {} s that it stands: tell a person at once",
+                "the stop was sent, but the robot has not said within {} s that it stands: tell a person at once",
                 STANDS.as_secs()
             );
             Answer::bad("silent", text).with("stands", Json::Null)

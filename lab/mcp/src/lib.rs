@@ -3,6 +3,7 @@
 
 mod answer;
 mod assistant;
+mod device;
 mod drive;
 mod id_of;
 pub mod program;

@@ -3,7 +3,9 @@
 use std::future::pending;
 use std::time::Duration;
 
-use mom_client::{BASED_ON, Event, Events, Family, Lost, Parcel, TokenGuard, Value, WireError, from_value};
+use mom_client::{
+    BASED_ON, Card, Event, Events, Family, Lost, Parcel, TokenGuard, Value, WireError, from_value,
+};
 use mom_drive::{Doing as _, HALTED, Halt, VerbFailure, halt};
 use serde::Deserialize;
 use serde_json::json;
@@ -11,13 +13,14 @@ use tokio::time::timeout;
 
 use crate::answer::Answer;
 use crate::assistant::Assistant;
+use crate::device::speeds;
 use crate::progress::Progress;
 
-/// So long the arm may take to stand under a new owner.
+/// So long the robot may take to stand under a new owner.
 const HANDS: Duration = Duration::from_secs(5);
 /// An arm that says nothing for so long while it works is not there; a statement may wait for a minute.
 const SILENT: Duration = Duration::from_secs(90);
-/// mm/s and degrees/s of a `jog` under a token that came without a scope.
+/// mm/s and degrees/s of a velocity under a token that came without a scope.
 const FASTEST: f64 = 100.0;
 
 /// How a command came to its end.
@@ -62,7 +65,7 @@ pub(crate) fn failed(status: &Status) -> Answer {
         0 => String::new(),
         number => format!(" at statement {number} of {}", status.of),
     };
-    let what = format!("the arm ended the script with an error{place}");
+    let what = format!("the robot ended the script with an error{place}");
     let answer = match error {
         Some(error) => Answer::refused(&what, &error),
         None => Answer::bad("failed", what),
@@ -77,12 +80,12 @@ pub(crate) fn failed(status: &Status) -> Answer {
 pub(crate) async fn carry_out(
     assistant: &Assistant,
     guard: &mut TokenGuard,
-    script: &str,
+    (script, is_relative): (&str, bool),
     progress: &mut Progress,
     runs: &mut Option<Running>,
 ) -> End {
     let fence = guard.fence();
-    // A command that comes while the arm still halts for the last owner is refused.
+    // A command that comes while the robot still halts for the last owner is refused.
     let stands = assistant.robot_state_when(HANDS, |state| state.is_under(fence));
     tokio::select! {
         biased;
@@ -94,9 +97,9 @@ pub(crate) async fn carry_out(
     let events = assistant.robot.events();
     let mut parcel = Parcel::new(Family::Message, "command").content(script);
     parcel.fence = Some(fence);
-    if is_relative(script) {
+    if is_relative {
         let Some(told) = assistant.told().and_then(|id| i64::try_from(id).ok()) else {
-            let text = "`by` is relative to where the arm is: call `where` first, so that you know";
+            let text = "the script is relative to where the robot is: call `where` first, so that you know";
             return End::Unknown(Answer::bad("stale-state", text));
         };
         parcel.extra.set(BASED_ON, told);
@@ -128,7 +131,7 @@ pub(crate) async fn carry_out(
                 },
                 Ok(Err(answer)) => return End::Unknown(answer),
                 Err(_) => {
-                    let text = format!("the arm has said nothing for {} s; what became of the script is not known", SILENT.as_secs());
+                    let text = format!("the robot has said nothing for {} s; what became of the script is not known", SILENT.as_secs());
                     return End::Unknown(Answer::bad("silent", text));
                 }
             },
@@ -136,34 +139,21 @@ pub(crate) async fn carry_out(
     }
 }
 
-/// Whether a script has statements that depend on where the arm is.
-fn is_relative(script: &str) -> bool {
-    let mut statements = script.split([';', '\n']);
-    statements.any(|statement| statement.split_whitespace().next() == Some("by"))
-}
-
-/// Why a script is not carried out under a token that came without a scope: it jogs too fast.
-pub(crate) fn too_fast(script: &str) -> Option<Answer> {
-    let fast = |statement: &str| {
-        let mut words = statement.split_whitespace();
-        // What is not a number the arm refuses.
-        let numbers = |words: std::str::SplitWhitespace<'_>| -> Vec<f64> {
-            words.take(5).filter_map(|word| word.parse().ok()).collect()
-        };
-        words.next() == Some("jog") && numbers(words).iter().any(|part| part.abs() > FASTEST)
-    };
-    script.split([';', '\n']).any(fast).then(|| {
+/// Why a script is not carried out under a token that came without a scope: it drives on too fast.
+pub(crate) fn too_fast(card: Option<&Card>, script: &str) -> Option<Answer> {
+    let is_fast = speeds(card, script).iter().any(|part| part.abs() > FASTEST);
+    is_fast.then(|| {
         let text = format!(
-            "a jog is at most {FASTEST} mm/s and degrees/s under a token that came without a scope; ask a person to give it with one"
+            "a velocity is at most {FASTEST} mm/s and degrees/s under a token that came without a scope; ask a person to give it with one"
         );
         Answer::bad("too-fast", text)
     })
 }
 
-/// Whether a script was sent, whether the hub has the token back, and whether the arm has ended the script.
+/// Whether a script was sent, whether the hub has the token back, and whether the robot has ended the script.
 type HandedBack = (bool, Result<(), VerbFailure>, Halt);
 
-/// Gives the token back, so that the hub halts the arm, and hears that the script has ended.
+/// Gives the token back, so that the hub halts the robot, and hears that the script has ended.
 pub(crate) async fn hand_back(assistant: &Assistant, guard: TokenGuard, runs: Option<Running>) -> HandedBack {
     let what = format!("give {} back", guard.path());
     let release = async { guard.release().await.doing(what) };
@@ -176,7 +166,7 @@ pub(crate) async fn hand_back(assistant: &Assistant, guard: TokenGuard, runs: Op
     }
 }
 
-/// Whether the arm says soon that the script has ended whose token is lost; also where none was sent.
+/// Whether the robot says soon that the script has ended whose token is lost; also where none was sent.
 pub(crate) async fn has_heard_the_end(assistant: &Assistant, runs: Option<Running>) -> bool {
     match runs {
         Some(mut running) => timeout(HALTED, running.ended(assistant)).await.is_ok(),
@@ -188,15 +178,15 @@ pub(crate) async fn has_heard_the_end(assistant: &Assistant, runs: Option<Runnin
 pub(crate) fn halted(code: &str, why: &str, (sent, released, halt): HandedBack) -> Answer {
     let mut answer = Answer::bad(code, why);
     if let Err(failure) = &released {
-        answer = answer.and(&format!("{failure}; it halts the arm when it notices that"));
+        answer = answer.and(&format!("{failure}; it halts the robot when it notices that"));
     }
     if !sent {
         return answer
-            .and("nothing was sent to the arm")
+            .and("nothing was sent to the robot")
             .with("ended", json!(true));
     }
-    match halt.verdict("the arm") {
-        Ok(()) => answer.and("the arm has ended it").with("ended", json!(true)),
+    match halt.verdict("the robot") {
+        Ok(()) => answer.and("the robot has ended it").with("ended", json!(true)),
         Err(failure) => answer
             .and(&format!("{failure}: tell a person at once"))
             .with("ended", json!(halt == Halt::Stopped)),
@@ -225,16 +215,18 @@ impl Running {
                 Some(Event::LinkDown) | None => {
                     return Err(unknown(
                         "disconnected",
-                        "the connection to the hub was lost, and the hub halts the arm",
+                        "the connection to the hub was lost, and the hub halts the robot",
                     ));
                 }
-                Some(Event::Lagged(_)) => return Err(unknown("lagged", "events of the arm were lost here")),
+                Some(Event::Lagged(_)) => {
+                    return Err(unknown("lagged", "events of the robot were lost here"));
+                }
                 Some(_) => {}
             }
         }
     }
 
-    /// Waits until the arm has said that it is over.
+    /// Waits until the robot has said that it is over.
     async fn ended(&mut self, assistant: &Assistant) {
         loop {
             match self.status(assistant).await {
@@ -251,26 +243,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_depends_on_where_the_arm_is() {
-        for (script, relative) in [
-            ("move 1 2 3 0 0", false),
-            ("home\n by 1 0 0 0 0", true),
-            ("grip open;by 1 0 0 0 0", true),
-            ("standby", false),
-        ] {
-            assert_eq!(is_relative(script), relative, "{script}");
-        }
-    }
-
-    #[test]
-    fn jogs_without_a_scope_are_slow() {
+    fn velocities_without_a_scope_are_slow() {
         for (script, fast) in [
             ("move 1 2 3 0 0", false),
             ("jog 100 0 0 0 0 1000", false),
             ("home; jog 0 -101 0 0 0 1000", true),
             ("jog", false),
         ] {
-            assert_eq!(too_fast(script).is_some(), fast, "{script}");
+            assert_eq!(too_fast(None, script).is_some(), fast, "{script}");
         }
     }
 }

@@ -77,7 +77,7 @@ impl Call {
             "stop" => read(arguments).map(|Nothing {}| Call::Stop),
             "return_token" => read(arguments).map(|Nothing {}| Call::ReturnToken),
             _ => {
-                let known: Vec<_> = tools::all().into_iter().map(|tool| tool.name).collect();
+                let known: Vec<_> = tools::all(None).into_iter().map(|tool| tool.name).collect();
                 let text = format!("there is no tool {name:?}; there are {}", known.join(", "));
                 return Err(ErrorData::invalid_params(text, None));
             }
@@ -174,11 +174,16 @@ impl ServerHandler for Tools {
         _request: Option<PaginatedRequestParams>,
         _context: RequestContext<RoleServer>,
     ) -> Result<ListToolsResult, ErrorData> {
-        Ok(ListToolsResult::with_all_items(tools::all()))
+        // A client may ask before there is a hub, and asks once.
+        let card = match self.assistant().await {
+            Ok(assistant) => assistant.card().await,
+            Err(_) => None,
+        };
+        Ok(ListToolsResult::with_all_items(tools::all(card.as_ref())))
     }
 
     fn get_tool(&self, name: &str) -> Option<Tool> {
-        tools::all().into_iter().find(|tool| tool.name == name)
+        tools::all(None).into_iter().find(|tool| tool.name == name)
     }
 
     async fn call_tool(
@@ -230,7 +235,7 @@ mod tests {
 
     #[test]
     fn each_tool_that_is_listed_can_be_called() {
-        for tool in tools::all() {
+        for tool in tools::all(None) {
             let required = tool.input_schema["required"]
                 .as_array()
                 .cloned()

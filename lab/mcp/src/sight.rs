@@ -4,13 +4,14 @@ use std::time::Duration;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use mom_client::{Client, ContextKind, Map, Time, TokenInfo, Value, plain_duration};
+use mom_client::{Card, Client, ContextKind, Map, Time, TokenInfo, Value, plain_duration, visible};
 use mom_drive::{DeviceChannel, Pose, VerbFailure, believed};
 use serde_json::{Value as Json, json};
 use tokio::time::timeout;
 
 use crate::answer::Answer;
 use crate::assistant::{Assistant, SeenState};
+use crate::device::statements;
 
 /// So long the robot may take to tell its state for the first time.
 const STATE: Duration = Duration::from_secs(2);
@@ -124,10 +125,11 @@ fn age(client: &Client, then: Time) -> Option<(f64, f64, f64)> {
 
 /// `where`
 pub(crate) async fn places(assistant: &Assistant) -> Answer {
-    let (robot, token, objects) = tokio::join!(
+    let (robot, token, objects, card) = tokio::join!(
         assistant.robot_state(STATE),
         assistant.token_info(),
-        objects(assistant)
+        objects(assistant),
+        assistant.card()
     );
     let token = match token {
         Ok(token) => token,
@@ -136,7 +138,7 @@ pub(crate) async fn places(assistant: &Assistant) -> Answer {
     let (robot_words, robot) = match &robot {
         Some(seen) => {
             assistant.tell(seen);
-            robot_facts(assistant, seen)
+            robot_facts(assistant, seen, card.as_ref())
         }
         None => (
             format!("no robot tells its state in {}", assistant.places.robot),
@@ -155,17 +157,11 @@ pub(crate) async fn places(assistant: &Assistant) -> Answer {
 }
 
 /// The state of the robot in words and as data.
-pub(crate) fn robot_facts(assistant: &Assistant, seen: &SeenState) -> (String, Json) {
-    let SeenState {
-        parcel,
-        state,
-        linked,
-    } = seen;
-    let mut words = format!("arm at {}", pose_words(&state.pose));
-    words.push_str(&match &state.holding {
-        Some(block) => format!(", holding {block}"),
-        None => ", holding nothing".to_owned(),
-    });
+pub(crate) fn robot_facts(assistant: &Assistant, seen: &SeenState, card: Option<&Card>) -> (String, Json) {
+    let SeenState { parcel, state } = seen;
+    let linked = state.is_linked();
+    let name = card.map_or("robot", |card| &card.name);
+    let mut words = format!("{} at {}", visible(name), state.place_words(card));
     words.push_str(match (state.stopped, state.moving) {
         (true, _) => ", stopped until a person lets it go",
         (false, true) => ", moving",
@@ -175,13 +171,22 @@ pub(crate) fn robot_facts(assistant: &Assistant, seen: &SeenState) -> (String, J
         words.push_str(", without a link to its controller, so this is what was known last");
     }
     let mut facts = json!({
-        "pose": state.pose,
-        "holding": state.holding,
         "moving": state.moving,
         "stopped": state.stopped,
         "linked": linked,
         "seq": state.seq,
     });
+    if let Json::Object(facts) = &mut facts {
+        state.add_to(facts);
+    }
+    if let Some(card) = card {
+        let statements = statements(card);
+        words.push_str(&format!(
+            "; statements of its scripts: {}",
+            statements.join(" | ")
+        ));
+        facts["statements"] = json!(statements);
+    }
     if let Some(age) = assistant.client.clock().age(parcel) {
         let millis = age.duration().as_secs_f64() * 1000.0;
         facts["age_ms"] = json!(millis);

@@ -1,28 +1,39 @@
 //! The tools as a language model reads of them.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
+use mom_client::Card;
 use rmcp::model::{JsonObject, Tool, ToolAnnotations};
 use serde_json::{Value as Json, json};
 
+use crate::device::statements;
+
 /// What a model is told of the whole.
 pub(crate) const INSTRUCTIONS: &str = "\
-These tools look at a robot arm and drive it. A person has to grant you the robot's token before anything moves: call \
+These tools look at a robot and drive it. A person has to grant you the robot's token before anything moves: call \
 request_token and say why; only a person can give it, and nothing here can take it. Look (look, where) before you move, \
 and after. The grant usually has a scope: so many seconds, so many commands; `where` tells what is left. You may lose \
 the token at any moment, because a person takes it or the scope is over: then stop, say so, and do not try to get it \
 back without being told to. Give it back with return_token as soon as you are done. If anything looks dangerous, call \
 stop: it needs no token, and only a person lets the robot go again.";
 
-/// All of them. An empty schema of properties takes no arguments.
-pub(crate) fn all() -> Vec<Tool> {
-    vec![look(), places(), request_token(), moves(), stop(), return_token()]
+/// All of them, for the robot of this card. An empty schema of properties takes no arguments.
+pub(crate) fn all(card: Option<&Card>) -> Vec<Tool> {
+    vec![
+        look(),
+        places(),
+        request_token(),
+        moves(card),
+        stop(),
+        return_token(),
+    ]
 }
 
 fn tool(
     name: &'static str,
     title: &str,
-    description: &'static str,
+    description: impl Into<Cow<'static, str>>,
     properties: &Json,
     required: &Json,
 ) -> Tool {
@@ -43,10 +54,10 @@ fn look() -> Tool {
     tool(
         "look",
         "Look through a camera",
-        "Takes a picture of the robot and its table with one of the cameras and returns it as an image, with the time when \
-         it was taken, how old it is, and the pose of the arm that it shows. Needs no token. The lab's cameras are x \
-         (from the front), y (from the side), top (from above) and wrist (on the forearm, moves with it); a name that \
-         does not exist is answered with those that do.",
+        "Takes a picture of the robot with one of the cameras and returns it as an image, with the time when it was taken, how \
+         old it is, and the pose of the robot that it shows, if it does. Needs no token. The lab's cameras are x (from the \
+         front), y (from the side), top (from above) and wrist (on the forearm, moves with it); a name that does not exist is \
+         answered with those that do.",
         &json!({"camera": {"type": "string", "description": "the camera's name, such as x, y, top or wrist"}}),
         &json!(["camera"]),
     )
@@ -57,10 +68,10 @@ fn places() -> Tool {
     tool(
         "where",
         "Where everything is",
-        "Tells the arm's pose (x, y, z of the tip in millimetres from the middle of the table, spin and tilt in degrees), \
-         what the gripper holds, whether the arm moves or is stopped, and how old this knowledge is; who owns the \
-         robot's token, whether that is you, and how much is left of your scope; and where the objects on the table \
-         are, if the hub has a model of them. Needs no token.",
+        "Tells where the robot is (of the lab's arm: x, y, z of the tip in millimetres from the middle of the table, spin and \
+         tilt in degrees, and what the gripper holds), whether it moves or is stopped, how old this knowledge is, and the \
+         statements of its scripts; who owns the robot's token, whether that is you, and how much is left of your scope; and \
+         where the objects are, if the hub has a model of them. Needs no token.",
         &json!({}),
         &json!([]),
     )
@@ -86,17 +97,28 @@ fn request_token() -> Tool {
     .with_annotations(ToolAnnotations::new().read_only(false).destructive(false).open_world(false))
 }
 
-fn moves() -> Tool {
+/// What the card says are the device's words, so they stand behind what is said of it here.
+fn moves(card: Option<&Card>) -> Tool {
+    let statements = match card {
+        Some(card) if card.name == "arm" => {
+            format!("{ARM} Its statements: {}.", statements(card).join(" | "))
+        }
+        Some(card) => format!(
+            "Its statements, as the robot describes them: {}.",
+            statements(card).join(" | ")
+        ),
+        None => "`where` tells its statements.".to_owned(),
+    };
+    let description = format!(
+        "Has the robot carry out a script and waits for its end. Works only while you hold the token. Statements are separated by `;` \
+         or new lines. One call counts as one command of your scope, however many statements it has. A script that fails is not \
+         repeated: look before you go on. {statements}"
+    );
     tool(
         "move",
-        "Drive the arm",
-        "Has the arm carry out a script and waits for its end. Works only while you hold the token. Statements are \
-         separated by `;` or new lines: `move X Y Z SPIN TILT` (millimetres from the middle of the table, Z is the height \
-         above it; degrees), `by DX DY DZ DSPIN DTILT` (relative), `grip open`, `grip close`, `home`, `wait MILLISECONDS`. \
-         The workspace is X and Y from -300 to 300, Z from 0 to 450. To take a block, open the gripper above it, move down \
-         so that its middle is between the jaws, close, and move up before you go across. One call counts as one command \
-         of your scope, however many statements it has. A script that fails is not repeated: look before you go on.",
-        &json!({"script": {"type": "string", "maxLength": 65_536, "description": "such as: move -150 100 20 0 0; grip close; move -150 100 200 0 0"}}),
+        "Drive the robot",
+        description,
+        &json!({"script": {"type": "string", "maxLength": 65_536, "description": "statements with `;` between, such as: wait 500"}}),
         &json!(["script"]),
     )
     .with_annotations(
@@ -107,6 +129,11 @@ fn moves() -> Tool {
             .open_world(false),
     )
 }
+
+/// What a model that drives the lab's arm has to know beside its statements.
+const ARM: &str = "\
+It is a robot arm: millimetres from the middle of the table, Z is the height above it. Its workspace is X and Y from -300 to 300, Z from 0 to \
+450. To take a block, open the gripper above it, move down so that its middle is between the jaws, close, and move up before you go across.";
 
 fn stop() -> Tool {
     tool(

@@ -89,7 +89,7 @@ const RUST: Kit = Kit {
         ("src/main.rs", template!("rust/src/main.rs")),
         ("src/driver.rs", template!("rust/src/driver.rs")),
         ("tests/robot.rs", template!("rust/tests/robot.rs")),
-        ("Cargo.toml", template!("rust/Cargo.toml")),
+        ("Cargo.toml", template!("rust/Cargo.toml.in")),
     ],
     words: &[
         ("MAIN-FILE", "src/main.rs"),
