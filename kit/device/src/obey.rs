@@ -21,7 +21,12 @@ use crate::{
 /// use mom_device::{Call, Device, DeviceError, obey};
 ///
 /// # struct Motors;
-/// # impl Motors { fn lift_to(&mut self, _: f64) {} fn is_there(&self) -> bool { true } fn brake(&mut self) {} fn height(&self) -> f64 { 0.0 } }
+/// # impl Motors {
+/// #     fn lift_to(&mut self, _: f64) {}
+/// #     fn is_there(&self) -> bool { true }
+/// #     fn brake(&mut self) {}
+/// #     fn height(&self) -> f64 { 0.0 }
+/// # }
 /// struct Lift(Motors);
 ///
 /// impl Device for Lift {

@@ -62,7 +62,7 @@ fn begin_log(log: &str) {
 }
 
 /// Done at Ctrl-C and SIGTERM, and at what a terminal says that is closed or left by Ctrl-\ (SIGHUP, SIGQUIT): a device halts whatever asks
-/// it to end. Started by `nohup`, it goes on at SIGHUP.
+/// it to end. Started by `nohup`, it goes on at SIGHUP. `mom_device::obey` takes it as the end of a device.
 ///
 /// # Errors
 ///

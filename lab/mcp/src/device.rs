@@ -6,7 +6,6 @@ use serde::Deserialize;
 use serde_json::{Value as Json, json};
 
 use crate::answer::Answer;
-use crate::sight::pose_words;
 
 /// Keys of a state that say how every device stands.
 const EVERY: [&str; 13] = [
@@ -136,6 +135,11 @@ impl DeviceState {
     }
 }
 
+pub(crate) fn pose_words(pose: &Pose) -> String {
+    let Pose { x, y, z, spin, tilt } = pose;
+    format!("x {x:.1} y {y:.1} z {z:.1} mm, spin {spin:.1} tilt {tilt:.1} degrees")
+}
+
 /// A text of the device's for a model: a line, and not a long one.
 fn short(text: &str) -> String {
     let shown = visible(text).to_string();
@@ -174,13 +178,13 @@ pub(crate) fn statements(card: &Card) -> Vec<String> {
 }
 
 /// What the card says of a script before it is sent: whether it is relative, or what is wrong with it.
-pub(crate) fn check(card: Option<&Card>, script: &str) -> Result<bool, Answer> {
+pub(crate) fn check(card: Option<&Card>, script: &str) -> Result<bool, Box<Answer>> {
     match card {
         Some(card) => match mom_device::check_by_card(card, script) {
             Ok(read) => Ok(read.relative),
             Err(error) => {
                 let answer = Answer::bad("syntax", format!("nothing was sent: {error}"));
-                Err(answer.with("statement", json!(error.statement())))
+                Err(Box::new(answer.with("statement", json!(error.statement()))))
             }
         },
         // One of an earlier version.

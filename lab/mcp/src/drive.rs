@@ -223,7 +223,7 @@ pub(crate) async fn run(assistant: &Assistant, script: &str, progress: &mut Prog
     let card = assistant.card().await;
     let read = match check(card.as_ref(), script) {
         Ok(is_relative) if assistant.is_unscoped(guard.fence()) => {
-            too_fast(card.as_ref(), script).map_or(Ok(is_relative), Err)
+            too_fast(card.as_ref(), script).map_or(Ok(is_relative), |answer| Err(Box::new(answer)))
         }
         read => read,
     };
@@ -231,7 +231,7 @@ pub(crate) async fn run(assistant: &Assistant, script: &str, progress: &mut Prog
         Ok(is_relative) => is_relative,
         Err(answer) => {
             assistant.put(guard);
-            return answer;
+            return *answer;
         }
     };
     let before = assistant.newest();
@@ -288,7 +288,7 @@ pub(crate) async fn run(assistant: &Assistant, script: &str, progress: &mut Prog
     }
 }
 
-/// The answer where the token is lost. The hub has halted the robot, or it did so itself at the loss of its link; that it has is for the robot
+/// The answer where the token is lost. The hub has halted the robot, or it did so itself at the loss of its link; that it has is for it
 /// to say.
 fn lost_to(assistant: &Assistant, lost: Lost, loan: Option<&Loan>, has_ended: bool) -> Answer {
     let heard = match has_ended {

@@ -11,7 +11,7 @@ use tokio::time::timeout;
 
 use crate::answer::Answer;
 use crate::assistant::{Assistant, SeenState};
-use crate::device::statements;
+use crate::device::{pose_words, statements};
 
 /// So long the robot may take to tell its state for the first time.
 const STATE: Duration = Duration::from_secs(2);
@@ -199,11 +199,6 @@ pub(crate) fn robot_facts(assistant: &Assistant, seen: &SeenState, card: Option<
         words.push_str(", and nothing has changed since)");
     }
     (words, facts)
-}
-
-pub(crate) fn pose_words(pose: &Pose) -> String {
-    let Pose { x, y, z, spin, tilt } = pose;
-    format!("x {x:.1} y {y:.1} z {z:.1} mm, spin {spin:.1} tilt {tilt:.1} degrees")
 }
 
 /// The token in words and as data.

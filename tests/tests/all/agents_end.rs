@@ -196,7 +196,7 @@ async fn the_limit_of_time_ends_a_script_that_runs() {
         said.contains("the 1 s for which you may keep it are over, so the script was ended"),
         "{said}"
     );
-    assert!(said.contains("the arm has ended it"), "{said}");
+    assert!(said.contains("the robot has ended it"), "{said}");
     assert!(
         took < Duration::from_secs(20),
         "not after the minute that it waits: {took:?}"
@@ -330,7 +330,7 @@ async fn a_lost_token_does_not_say_that_the_arm_stands() {
     });
     let said = moved.await.expect("it answers");
     assert!(
-        said.contains("the arm has not said that it has ended the script: tell a person at once"),
+        said.contains("the robot has not said that it has ended the script: tell a person at once"),
         "{said}"
     );
     assert!(said.contains("by its last word"), "{said}");

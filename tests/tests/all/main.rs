@@ -35,6 +35,7 @@ mod listen;
 mod login;
 mod losses;
 mod mcp;
+mod mcp_card;
 mod newcomer;
 mod objects;
 mod occupied;

@@ -5,25 +5,23 @@ use std::time::Duration;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use mom_client::{Card, CardArg, CardVerb, Client, Code, Event, Given, Map, Token, TokenGuard, Value};
-use mom_device::{Call, Device, DeviceError};
+use mom_client::{Client, Code, Event, Given, Token, TokenGuard};
 use mom_tests::assistant::{Assistant, text};
 use mom_tests::audit::AuditLog;
-use mom_tests::lab;
 use mom_tests::programs::{PATIENCE, Running, project};
 use serde_json::{Value as Json, json};
 use tokio::time::timeout;
 
-const ROBOT: &str = "/robot/arm";
+pub(crate) const ROBOT: &str = "/robot/arm";
 const TOKEN: &str = "/robot/token";
 
-async fn person(hub: &str, name: &str) -> Client {
+pub(crate) async fn person(hub: &str, name: &str) -> Client {
     let client = Client::builder(hub).user(name).password(name).connect().await;
     client.expect("the lab knows its users")
 }
 
 /// Alice, with the token in her hand.
-async fn alice(hub: &str) -> (Client, Token, TokenGuard) {
+pub(crate) async fn alice(hub: &str) -> (Client, Token, TokenGuard) {
     let alice = person(hub, "alice").await;
     let token = alice.token(TOKEN).await.expect("she may look");
     let guard = token.grab().await.expect("it is free");
@@ -31,7 +29,7 @@ async fn alice(hub: &str) -> (Client, Token, TokenGuard) {
 }
 
 /// Gives the token to the assistant, which takes it.
-async fn give(guard: &TokenGuard, time: Option<Duration>, commands: Option<u64>) -> Given {
+pub(crate) async fn give(guard: &TokenGuard, time: Option<Duration>, commands: Option<u64>) -> Given {
     let mut give = guard.give("assistant");
     if let Some(time) = time {
         give = give.time(time);
@@ -543,124 +541,4 @@ async fn it_takes_a_block_and_moves_relative_to_what_it_knows() {
     let hint = |tool: &Json, key: &str| tool["inputSchema"]["properties"][key].is_object();
     let tools = assistant.request("tools/list", &json!({}))["tools"].clone();
     assert!(hint(&tools[3], "script") && hint(&tools[2], "reason"), "{tools}");
-}
-
-/// A crane of which nothing here has heard: what it can do stands in its card only.
-#[derive(Debug, Default)]
-struct Crane {
-    height: f64,
-    told: Vec<f64>,
-}
-
-impl Device for Crane {
-    const NAME: &str = "the crane";
-
-    fn verbs() -> Vec<CardVerb> {
-        let height = CardArg::number("height", "mm").within(0.0..=900.0);
-        vec![
-            CardVerb::motion("hoist", "Hoists the hook").args([height]),
-            CardVerb::motion("up", "Hoists it by so much")
-                .relative()
-                .args([CardArg::number("way", "mm")]),
-            CardVerb::motion("creep", "Goes on at a speed")
-                .velocity()
-                .args([CardArg::number("speed", "mm/s")]),
-        ]
-    }
-
-    fn describe(card: Card) -> Card {
-        card.measures("height", "mm", "Of the hook")
-    }
-
-    fn begin(&mut self, call: &Call) -> Result<(), DeviceError> {
-        let number = call.numbers().next().unwrap_or_default();
-        match call.name() {
-            "hoist" => self.height = number,
-            "up" => self.height += number,
-            _ => {}
-        }
-        self.told.push(number);
-        Ok(())
-    }
-
-    fn is_done(&mut self) -> Result<bool, DeviceError> {
-        Ok(true)
-    }
-
-    fn halt(&mut self) {}
-
-    fn position(&self) -> Map {
-        Map::new().with("height", Value::Double(self.height))
-    }
-}
-
-/// Whatever is a device is driven by its card: its statements are told, and checked before anything is sent.
-#[tokio::test(flavor = "multi_thread")]
-async fn a_device_that_nothing_has_heard_of_is_driven_by_its_card() {
-    let broker = lab::start().await;
-    let hub = format!("bin://{}", broker.local_addr());
-    let client = person(&hub, "arm").await;
-    let (end, ended) = tokio::sync::oneshot::channel::<()>();
-    let crane = {
-        let client = client.clone();
-        tokio::spawn(async move {
-            let until = async { drop(ended.await) };
-            mom_device::obey(&client, ROBOT, Crane::default(), until).await
-        })
-    };
-    let (alice, _token, guard) = alice(&hub).await;
-    while alice.card(ROBOT).await.expect("she may look").is_none() {
-        tokio::task::yield_now().await;
-    }
-    let mut assistant = tokio::task::spawn_blocking({
-        let hub = hub.clone();
-        move || Assistant::at(&hub)
-    })
-    .await
-    .expect("it starts");
-    let _given = give(&guard, Some(Duration::from_secs(60)), Some(9)).await;
-    tokio::task::spawn_blocking(move || {
-        let tools = assistant.request("tools/list", &json!({}));
-        let told = tools["tools"][3]["description"].to_string();
-        assert!(
-            told.contains("hoist height/mm: Hoists the hook; height 0 to 900"),
-            "{told}"
-        );
-        assert!(
-            told.contains("up way/mm: Hoists it by so much; relative"),
-            "{told}"
-        );
-
-        let facts = assistant.good("where", &json!({}));
-        assert_eq!(facts["robot"]["state"], json!({"height": 0.0}));
-        assert!(
-            facts["robot"]["statements"][0].to_string().contains("hoist"),
-            "{facts}"
-        );
-
-        let said = assistant.bad("move", &json!({"script": "hoist 901"}), "syntax");
-        assert!(
-            said.contains("height is 901, `hoist` takes 0 to 900 mm"),
-            "{said}"
-        );
-        let said = assistant.bad("move", &json!({"script": "hoit 5"}), "syntax");
-        assert!(said.contains("did you mean `hoist`?"), "{said}");
-        let facts = assistant.good("move", &json!({"script": "hoist 300; wait 10"}));
-        assert_eq!(facts["state"], json!({"height": 300.0}));
-        // Nothing that was refused here was a command of the scope.
-        assert_eq!(facts["scope"]["commands_left"], 8);
-        let facts = assistant.good("move", &json!({"script": "up 20"}));
-        assert_eq!(facts["state"], json!({"height": 320.0}));
-        let facts = assistant.good("stop", &json!({}));
-        assert_eq!(
-            (&facts["stands"], &facts["state"]),
-            (&json!(true), &json!({"height": 320.0}))
-        );
-    })
-    .await
-    .expect("it drives");
-    drop(end);
-    crane.await.expect("it ends").expect("it obeyed");
-    client.close().await;
-    broker.stop().await;
 }

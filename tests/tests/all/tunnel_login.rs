@@ -1,9 +1,14 @@
-//! A tunnel whose answer to the login is lost: its new id is given again, and to nobody else.
+//! A tunnel whose answer to the login is lost: its new id is given again, and to nobody else; once it has ended, to nobody.
 
+use mom_broker::Broker;
 use mom_proto::{Family, Map, Parcel};
 use mom_tests::lab;
+use mom_tests::programs::PATIENCE;
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::net::TcpStream;
+use tokio::time::timeout;
 
-use crate::tunnel::{ByHand, chat};
+use crate::tunnel::{ByHand, ask, chat, hear, request, send};
 
 /// The answer to a login has the new id. Where it is lost, it is given again to who brings the same bytes, with the
 /// same proof, and to nobody else: other bytes, or the use of the new id, end that.
@@ -44,4 +49,61 @@ async fn the_lost_answer_to_a_login_is_given_again_to_who_has_logged_in() {
         assert_eq!(tunnel.post(0, &login).await.status, 404, "the new id is known");
     }
     broker.stop().await;
+}
+
+/// A request whose last byte comes when its tunnel has ended brings nothing back.
+#[tokio::test]
+async fn threat_17_a_tunnel_that_has_ended_does_not_come_back() {
+    let broker = lab::start().await;
+    // Where the hub is quicker than the cut, the old id is that of a login whose answer is given again.
+    let attempts = async {
+        loop {
+            if let Some(attempt) = ended_amid_its_login(&broker).await {
+                return attempt;
+            }
+        }
+    };
+    let (tunnel, mut late, last) = timeout(PATIENCE, attempts).await.expect("a cut in time");
+    let gone = async {
+        loop {
+            let asked = request("GET", &tunnel.path("at=0&wait=1"), "", b"");
+            if ask(tunnel.address, &asked).await.status == 404 {
+                return;
+            }
+        }
+    };
+    timeout(PATIENCE, gone).await.expect("it ends");
+    late.write_all(&last).await.expect("the hub reads it");
+    let answer = hear(late).await;
+    assert_eq!(
+        (answer.status, answer.field("mom-tunnel")),
+        (410, None),
+        "{answer:?}"
+    );
+    broker.stop().await;
+}
+
+/// A tunnel whose peer logs in and out by a request that is cut before it is answered, the same request without its last byte,
+/// and that byte; none if it was answered.
+async fn ended_amid_its_login(broker: &Broker) -> Option<(ByHand, TcpStream, Vec<u8>)> {
+    let mut tunnel = ByHand::open(broker).await;
+    let content = Map::new().with("name", "alice").with("password", "alice");
+    let login = tunnel.encode(Parcel::new(Family::Login, "login").content(content));
+    let logout = tunnel.encode(Parcel::new(Family::Login, "logout"));
+    let both = [login, logout].concat();
+    let whole = request("POST", &tunnel.path("at=0"), "", &both);
+    let (begin, last) = whole.split_at(whole.len() - 1);
+    let late = send(tunnel.address, begin).await;
+    let mut cut = send(tunnel.address, &whole).await;
+    let taken = async {
+        // Bytes that do not follow are not taken, and the answer says how many are here.
+        while tunnel.post(1 << 20, b"x").await.number("mom-taken") != Some(both.len()) {}
+    };
+    timeout(PATIENCE, taken).await.expect("they come");
+    let mut answer = Vec::new();
+    cut.shutdown().await.expect("the end of a request");
+    let _ = timeout(PATIENCE, cut.read_to_end(&mut answer))
+        .await
+        .expect("the hub ends it");
+    answer.is_empty().then(|| (tunnel, late, last.to_vec()))
 }

@@ -137,7 +137,10 @@ const ARROWS: &[(&str, May)] = &[
         "mom-calibrate",
         May::Use(&["mom-client", "mom-drive", "mom-pages", "mom-vision"]),
     ),
-    ("mom-mcp", May::Use(&["mom-client", "mom-drive", "mom-program"])),
+    (
+        "mom-mcp",
+        May::Use(&["mom-client", "mom-device", "mom-drive", "mom-program"]),
+    ),
     (
         "mom-servo",
         May::Use(&[

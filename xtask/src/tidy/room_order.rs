@@ -50,7 +50,7 @@ pub(super) const ROOMS: &[(&str, &str)] = &[
     ),
     (
         "mom-device",
-        "back contexts run clock outlet server fresh refusal pull queue carded reading machine command script words rest error",
+        "obey back contexts run clock outlet server fresh refusal pull queue declared carded call reading machine command script words rest error",
     ),
     (
         "mom-wheels",
@@ -76,7 +76,7 @@ pub(super) const ROOMS: &[(&str, &str)] = &[
     ),
     (
         "mom-mcp",
-        "program server drive script progress sight assistant answer stdio id_of tools",
+        "program server tools drive script progress sight assistant device answer stdio id_of",
     ),
     (
         "mom-linuxbot",
