@@ -2,9 +2,11 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { load } from "./bundle.mjs";
+import { ARM, CART, MOUNT } from "./cards.mjs";
 
 const { tokenOf, tokensOf } = await load("hub/token.svelte.ts");
 const { kindOf } = await load("hub/kind.ts");
+const { cardOf } = await load("hub/card.ts");
 
 /** A hub of which a test says what it tells. */
 function fakeHub(answers = {}) {
@@ -113,14 +115,20 @@ test("a grab is offered first only where it takes the token", (t) => {
 
 test("a device's kind is what it tells of itself, or what stands beside it", () => {
   const channels = ["/robot/arm", "/fleet/status", "/fleet/7/robot", "/cubo/robot", "/cubo/simulacrum", "/camera/pan"];
-  for (const [path, state, kind] of [
+  for (const [path, state, kind, card] of [
     ["/robot/arm", { pose: { x: 1, y: 2, z: 3 } }, "arm"],
     ["/robot/arm", {}, undefined],
-    ["/camera/pan", { pan: 0, tilt: 0 }, "mount"],
+    ["/camera/pan", { pan: 0, tilt: 0 }, undefined],
     ["/fleet/7/robot", {}, "wheeled"],
     ["/rover/a/robot", { x: 1, y: 2, heading: 90 }, "wheeled"],
     ["/cubo/robot", {}, "mirrored"],
     ["/cubo/robot", { x: 1, y: 2, heading: 90 }, "mirrored"],
     ["/gate", { open: true }, undefined],
-  ]) assert.equal(kindOf(path, state, channels), kind, `${path} ${JSON.stringify(state)}`);
+    ["/robot/arm", {}, "arm", ARM],
+    ["/yard/crane", { pose: { x: 1, y: 2, z: 3 } }, "other", CART],
+    ["/yard/crane", { x: 1, heading: 90 }, "other", CART],
+    ["/camera/pan", { pan: 0, tilt: 0 }, "other", MOUNT],
+    ["/cubo/robot", {}, "mirrored", CART],
+    ["/fleet/7/robot", {}, "wheeled", CART],
+  ]) assert.equal(kindOf(path, state, channels, card && cardOf(card)), kind, `${path} ${JSON.stringify(state)}`);
 });

@@ -1,6 +1,7 @@
 // A device as the page knows it: its newest state and how old that is, and what became of its commands.
 import type { Failure, HubEvent, Message, PlainFields } from "../worker/protocol.js";
 import { type Rest, restOf, unreachedSince } from "../worker/rest.js";
+import { carded } from "./cards.svelte.js";
 import { HubError } from "./failure.js";
 import { fields, flag, list, number, text } from "./fields.js";
 import type { Hub } from "./hub.svelte.js";
@@ -113,6 +114,8 @@ export class DeviceState {
     const content = fields(message.content);
     if (message.name === "state") {
       this.unreached = this.#unreachedBy(message, content);
+      // It has joined, or tells somebody who has.
+      if (!message.history && "stops-within" in content) carded(this.hub, this.path).ask();
       this.state = content;
       if (message.said !== undefined) this.#told.add(message.said);
       if (this.#told.size > TOLD) this.#told.delete(this.#told.keys().next().value!);

@@ -242,6 +242,8 @@ export interface Calls {
   stopsOf(paths: string[]): StandingStop[];
   /** Any other request of docs/PROTOCOL.md; gives the content of its answer. */
   ask(family: "context" | "token", name: string, path: string, content?: PlainFields): PlainFields;
+  /** What the device of a channel says that it can do, of docs/PROTOCOL.md; null if it says nothing, or the hub knows no cards. */
+  card(path: string): PlainFields | null;
   /** Makes a context; joins its parent. */
   create(path: string, spec: PlainFields): void;
   list(path: string): ContextInfo[];

@@ -22,6 +22,9 @@ type Answers = { [Name in CallName]: (...args: Parameters<Calls[Name]>) => Retur
  */
 const FIRST_ID = Date.now() * 1024;
 
+/** The minor version of the protocol from which hubs have cards of devices. */
+const WITH_CARDS = 4;
+
 /** By how much the clock of a message's sender is ahead of this machine's, ms; 0 where that is not known. */
 function ahead(client: Client, parcel: Parcel): number {
   const said = parcel.timestamp?.toDate().getTime();
@@ -104,6 +107,13 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
     ask: async (family, name, path, content) => {
       const parcel: Parcel = { family, name, context: path, ...(content ? { content } : {}) };
       return answerFields((await session.client.request(parcel)).content);
+    },
+    card: async (path) => {
+      const { client } = session;
+      // An earlier hub refuses what it does not know.
+      if (Number(fieldsOf(client.welcome["protocol"])["minor"] ?? 0) < WITH_CARDS) return null;
+      const card = await client.card(path);
+      return card === undefined ? null : answerFields(card);
     },
     create: async (path, spec) => void (await session.client.create(path, spec as Parameters<Client["create"]>[1])),
     list: (path) => session.client.list(path),

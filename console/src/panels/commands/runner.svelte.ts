@@ -1,14 +1,14 @@
 // Sends the commands of a list one after the other, and follows what becomes of them, as `mom run` does.
+import type { Card } from "../../hub/card.js";
+import { type Carded, carded } from "../../hub/cards.svelte.js";
 import { DeviceState, type Status } from "../../hub/device.svelte.js";
 import { HubError, failureOf } from "../../hub/failure.js";
 import { number } from "../../hub/fields.js";
 import type { Hub } from "../../hub/hub.svelte.js";
-import { kindOf } from "../../hub/kind.js";
-import { selectionOf } from "../../hub/selection.svelte.js";
 import { texts } from "../../texts/index.js";
 import type { Failure } from "../../worker/protocol.js";
 import { type Item, type Items, clearFinished, isOpen, next, obstacle, progress, restore, save } from "./list.js";
-import { type Language, isRelative, read } from "./script.js";
+import { isRelative, read } from "./script.js";
 
 /** How long a device may take for its first word of a command, and how long to end what its last owner has begun, in ms. */
 const ANSWER = 10_000;
@@ -54,6 +54,7 @@ export class CommandList {
   /** Why the rest waits. */
   halted = $state<string | undefined>(undefined);
   readonly device: DeviceState;
+  readonly #carded: Carded;
   #attached = 0;
   #watching: (() => void) | undefined;
   #lost: string | undefined;
@@ -63,6 +64,7 @@ export class CommandList {
     readonly path: string,
   ) {
     this.device = new DeviceState(hub, path);
+    this.#carded = carded(hub, path);
     try {
       this.items = restore(localStorage.getItem(this.#place));
     } catch {
@@ -78,18 +80,25 @@ export class CommandList {
     return `mom-commands ${this.path}`;
   }
 
-  /** What the device reads; undefined if that is not known. */
-  get language(): Language | undefined {
-    const { pose, state } = this.device;
-    const kind = kindOf(this.path, state, selectionOf(this.hub).channels);
-    if (kind !== undefined) return kind === "arm" || kind === "mount" ? kind : undefined;
-    return pose || !Object.keys(state).length ? "arm" : undefined;
+  /** What the device says that it can do; undefined if it says nothing, or that is not known yet. */
+  get card(): Card | undefined {
+    return this.#carded.card;
+  }
+
+  /** Whether the hub has said what the device can do, or that it does not say it. */
+  get isKnown(): boolean {
+    return this.#carded.known;
+  }
+
+  #watch(): () => void {
+    const ends = [this.device.start(), this.#carded.start()];
+    return () => ends.forEach((end) => end());
   }
 
   /** It is in view until the function that this gives is called. Unseen, nothing more is sent. */
   attach(): () => void {
     this.#attached += 1;
-    this.#watching ??= this.device.start();
+    this.#watching ??= this.#watch();
     return () => {
       this.#attached -= 1;
       queueMicrotask(() => {
@@ -158,10 +167,10 @@ export class CommandList {
 
   /** Nothing moves before all can be read. */
   #refuse(items: Items): boolean {
-    const { language } = this;
-    if (language === undefined) return false;
+    const { card } = this;
+    if (!card) return false;
     for (const { key, text } of items) {
-      const { mistake } = read(text, language);
+      const { mistake } = read(text, card);
       if (!mistake) continue;
       this.halted = t.mistaken(this.items.findIndex((item) => item.key === key) + 1, mistake.text);
       return true;
@@ -220,9 +229,15 @@ export class CommandList {
   /** One command to its end, tried again where that is sure to help; why it failed, null if it has finished. */
   async #carryOut({ key, text }: Pick<Item, "key" | "text">, over: () => string | undefined): Promise<Failure | null> {
     const begun = performance.now();
+    let relative = this.card !== undefined && isRelative(text, this.card);
     for (;;) {
       this.#progress(key, { state: "sending", error: undefined, statement: 0, of: 0, took: undefined });
-      const failure = await this.#attempt(key, text, over);
+      const failure = await this.#attempt(key, text, relative, over);
+      // A device without a card says only by its refusal that a command is relative.
+      if (failure?.code === "no-state" && !relative && over() === undefined) {
+        relative = true;
+        continue;
+      }
       const took = performance.now() - begun;
       if (!failure) {
         this.#progress(key, { state: "finished", trying: undefined, took });
@@ -251,12 +266,17 @@ export class CommandList {
   }
 
   /** Why it failed; null if it has finished. */
-  async #attempt(key: number, text: string, over: () => string | undefined): Promise<Failure | null> {
+  async #attempt(key: number, text: string, relative: boolean, over: () => string | undefined): Promise<Failure | null> {
     const { device, hub } = this;
     let id: number;
     try {
-      const relative = isRelative(text, this.language);
-      if (relative && (await until(() => device.stateId ?? (over() === undefined ? undefined : -1), ANSWER)) === undefined) throw new HubError(local("no-answer", t.silent));
+      if (relative) {
+        // It counts from a state in which the device stands: of one that moves still none holds.
+        await until(() => (over() !== undefined || (device.stateId !== undefined && !device.moving) ? true : undefined), ANSWER);
+        const why = over();
+        if (why !== undefined) throw new HubError(local("ended", why));
+        if (device.stateId === undefined) throw new HubError(local("no-answer", t.silent));
+      }
       id = await device.command(text, { relative });
     } catch (error) {
       return failureOf(error);

@@ -1,12 +1,11 @@
-// The devices' scripts, read as the devices read them (lab/arm/src/script.rs, lab/camera/src/pan/script.rs), so that mistakes show while one types.
-
-export type Language = "arm" | "mount";
+// Scripts, read by the card of their device as kit/device/src/carded.rs reads them: mistakes show while one types. The device decides.
+import { type Card, type CardArg, type CardVerb, usageOf, verbNamed } from "../../hub/card.js";
 
 /** One statement, and where it stands in the text: from the first letter to behind the last. */
 export interface Statement {
   verb: string;
-  numbers: number[];
-  words: string[];
+  /** What the card says of it; undefined of `wait`, which every device has. */
+  said: CardVerb | undefined;
   from: number;
   to: number;
 }
@@ -31,29 +30,22 @@ export type Reading = { statements: Statement[]; mistake?: undefined } | { state
 export const MAX_BYTES = 64 * 1024;
 export const MAX_STATEMENTS = 1000;
 export const MAX_WAIT = 60_000;
-/** mm/s and degrees/s of the hand. */
-export const SPEED = 150;
-export const TURN_SPEED = 90;
-const MOST_JOG = 1000;
 
-const GRIPS = ["open", "close"] as const;
-const VERBS: Record<Language, readonly string[]> = {
-  arm: ["move", "by", "grip", "wait", "jog", "home", "reset"],
-  mount: ["look", "turn", "home", "wait"],
-};
-/** What each verb with numbers takes, in words. */
-const TAKES: Record<string, { takes: string; names: string[] }> = {
-  move: { takes: "five numbers, x y z spin tilt", names: ["x", "y", "z", "spin", "tilt"] },
-  by: { takes: "five numbers, dx dy dz dspin dtilt", names: ["dx", "dy", "dz", "dspin", "dtilt"] },
-  jog: { takes: "five velocities, vx vy vz vspin vtilt", names: ["vx", "vy", "vz", "vspin", "vtilt"] },
-  look: { takes: "two angles, pan tilt", names: ["pan", "tilt"] },
-  turn: { takes: "two angles, dpan dtilt", names: ["dpan", "dtilt"] },
-};
+/** What every device has, and no card says. */
+const WAIT = "wait";
+/** Of a wrong word so many letters are repeated. */
+const LONGEST_WORD = 24;
+/** Of known words so many are compared with an unknown one, those of so many letters at most, as mom-nearest does. */
+const CANDIDATES = 128;
+const LONGEST_CANDIDATE = 64;
+/** A card may have a verb with thousands of choices: so much of its usage is told. */
+const LONGEST_USAGE = 300;
 
 const BLANK = "\\t-\\r \\u0085\\u00A0\\u1680\\u2000-\\u200A\\u2028\\u2029\\u202F\\u205F\\u3000";
 const WORD = new RegExp(`[^${BLANK}]+`, "gu");
 const NUMBER = /^[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$/i;
-const WHOLE = /^\+?\d+$/;
+const WHOLE = /^[+-]?\d+$/;
+const MS = /^\+?\d+$/;
 
 interface Word {
   text: string;
@@ -77,29 +69,34 @@ class Fault extends Error {
 /** The word for an error's text, shortened. */
 function short(word: string): string {
   const letters = [...word];
-  return letters.length > 24 ? `${letters.slice(0, 24).join("")}…` : word;
+  return letters.length > LONGEST_WORD ? `${letters.slice(0, LONGEST_WORD).join("")}…` : word;
 }
 
-/** How many letters must be changed, added or left out to make one word of the other. */
-function edits(word: string, known: string): number {
-  const other = [...known];
-  const row = Array.from({ length: other.length + 1 }, (_, place) => place);
-  [...word].forEach((letter, place) => {
-    let diagonal = row[0]!;
-    row[0] = place + 1;
-    other.forEach((wanted, column) => {
-      const changed = diagonal + (letter === wanted ? 0 : 1);
-      diagonal = row[column + 1]!;
-      row[column + 1] = Math.min(changed, diagonal + 1, row[column]! + 1);
+/** How many letters must be changed, added, left out or swapped with the next to make one word of the other. */
+function edits(word: readonly string[], known: readonly string[]): number {
+  let [before, last]: [number[], number[]] = [[], known.map((_, place) => place).concat(known.length)];
+  word.forEach((letter, row) => {
+    const now = [row + 1];
+    known.forEach((wanted, column) => {
+      const least = Math.min(last[column]! + (letter === wanted ? 0 : 1), last[column + 1]! + 1, now[column]! + 1);
+      const swapped = row > 0 && column > 0 && letter === known[column - 1] && word[row - 1] === wanted;
+      now.push(swapped ? Math.min(least, before[column - 1]! + 1) : least);
     });
+    [before, last] = [last, now];
   });
-  return row[other.length]!;
+  return last[known.length]!;
 }
 
-function unknown(word: Word, known: readonly string[]): Fault {
-  const lower = word.text.toLowerCase();
-  const nearest = known.reduce((best, candidate) => (edits(lower, candidate) < edits(lower, best) ? candidate : best));
-  return new Fault(word.at, `there is no \`${short(word.text)}\`; did you mean \`${nearest}\`?`, nearest);
+/** What is wrong with a word that is none of those that are known. */
+function unknown(word: string, known: readonly string[]): { words: string; nearest: string } {
+  const meant = [...short(word).toLowerCase()];
+  let [nearest, least] = ["", Infinity];
+  for (const candidate of known.slice(0, CANDIDATES)) {
+    if (bytes(candidate) > LONGEST_CANDIDATE) continue;
+    const count = edits(meant, [...candidate]);
+    if (count < least) [nearest, least] = [candidate, count];
+  }
+  return { words: `there is no \`${short(word)}\`; did you mean \`${nearest}\`?`, nearest };
 }
 
 /** The words of one statement that are still to be read. */
@@ -116,6 +113,10 @@ class Words {
 
   /** Where the statement's text ends. */
   readonly length: number;
+
+  get isOver(): boolean {
+    return this.#next >= this.#words.length;
+  }
 
   next(): Word | undefined {
     const word = this.#words[this.#next];
@@ -136,55 +137,71 @@ class Words {
     if (!word) throw new Fault(this.#end, `\`${verb}\` takes ${takes}; ${which} is missing`);
     return word;
   }
+}
 
-  number(verb: string, takes: string, which: string): number {
-    const word = this.need(verb, takes, which);
-    const value = NUMBER.test(word.text) ? Number(word.text) : NaN;
-    if (!Number.isFinite(value)) throw new Fault(word.at, `${which} is \`${short(word.text)}\`, which is not a number`);
-    return value;
+/** A whole number has 64 bits. */
+function wholeOf(word: string): number | undefined {
+  if (!WHOLE.test(word) || word.length > LONGEST_WORD) return undefined;
+  const whole = BigInt(word.replace("+", ""));
+  return BigInt.asIntN(64, whole) === whole ? Number(whole) : undefined;
+}
+
+function numberOf(type: CardArg["type"], word: string): number | undefined {
+  if (type === "whole") return wholeOf(word);
+  const number = NUMBER.test(word) ? Number(word) : NaN;
+  return Number.isFinite(number) ? number : undefined;
+}
+
+/** The numbers that an argument takes, such as `0 to 100 mm`; undefined if it takes all. */
+export function rangeOf({ min, max, unit }: CardArg): string | undefined {
+  if (min === undefined && max === undefined) return undefined;
+  const range = max === undefined ? `${min} and more` : min === undefined ? `${max} and less` : `${min} to ${max}`;
+  return unit ? `${range} ${unit}` : range;
+}
+
+/** What is wrong with a word as this argument of a verb, undefined if nothing is. */
+export function faultOf(verb: CardVerb, arg: CardArg, word: string): { words: string; nearest?: string } | undefined {
+  const { name, type, choices, min = -Infinity, max = Infinity } = arg;
+  if (choices.includes(word)) return undefined;
+  if (type === "word" || type === "attachment") return choices.length ? unknown(word, choices) : undefined;
+  const number = numberOf(type, word);
+  if (number === undefined) return { words: `${name} is \`${short(word)}\`, which is not a ${type === "whole" ? "whole number" : "number"}` };
+  return number < min || number > max ? { words: `${name} is ${short(word)}, \`${verb.name}\` takes ${rangeOf(arg)}` } : undefined;
+}
+
+function readArgument(verb: CardVerb, arg: CardArg, words: Words): void {
+  const usage = words.isOver ? usageOf(verb) : "";
+  const word = words.need(verb.name, `\`${usage.length > LONGEST_USAGE ? `${usage.slice(0, LONGEST_USAGE)}…` : usage}\``, arg.name);
+  const fault = faultOf(verb, arg, word.text);
+  if (fault) throw new Fault(word.at, fault.words, fault.nearest);
+}
+
+function readArguments(verb: CardVerb, words: Words): void {
+  for (const arg of verb.args) {
+    if (words.isOver && arg.default !== undefined) return;
+    readArgument(verb, arg, words);
   }
+  const again = verb.args.slice(verb.args.length - verb.repeats);
+  while (again.length && !words.isOver) for (const arg of again) readArgument(verb, arg, words);
 }
 
-function whole(word: Word, least: number, most: number): number | undefined {
-  const value = WHOLE.test(word.text) ? Number(word.text) : NaN;
-  return value >= least && value <= most ? value : undefined;
+function readWait(words: Words): void {
+  const { text, at } = words.need(WAIT, "a time in ms", "it");
+  if (!MS.test(text) || Number(text) > MAX_WAIT) throw new Fault(at, `\`wait\` takes a whole number of ms from 0 to ${MAX_WAIT}, not \`${short(text)}\``);
 }
 
-function readJog(words: Words): number[] {
-  const at = words.end;
-  const { takes, names } = TAKES["jog"]!;
-  const numbers = names.map((name) => words.number("jog", takes, name));
-  const [x, y, z, spin, tilt] = numbers as [number, number, number, number, number];
-  const [linear, turn] = [Math.hypot(x, y, z), Math.max(Math.abs(spin), Math.abs(tilt))];
-  if (linear > SPEED) throw new Fault(at, `${linear.toFixed(0)} mm/s is too fast, the hand moves at ${SPEED} at most`);
-  if (turn > TURN_SPEED) throw new Fault(at, `${turn.toFixed(0)} degrees/s is too fast, the hand turns at ${TURN_SPEED} at most`);
-  const word = words.next();
-  if (!word) return numbers;
-  const ms = whole(word, 1, MOST_JOG);
-  if (ms === undefined) throw new Fault(word.at, `\`jog\` lasts a whole number of ms from 1 to ${MOST_JOG}, not \`${short(word.text)}\``);
-  return [...numbers, ms];
-}
-
-function readStatement(verb: Word, words: Words, language: Language): Statement {
-  const statement: Statement = { verb: verb.text, numbers: [], words: [], from: verb.at, to: verb.at + verb.text.length };
-  if (!VERBS[language].includes(verb.text)) throw unknown(verb, VERBS[language]);
-  const takes = TAKES[verb.text];
-  if (verb.text === "jog") statement.numbers = readJog(words);
-  else if (takes) statement.numbers = takes.names.map((name) => words.number(verb.text, takes.takes, name));
-  else if (verb.text === "grip") {
-    const word = words.need("grip", "`open` or `close`", "it");
-    if (!GRIPS.some((grip) => grip === word.text)) throw unknown(word, GRIPS);
-    statement.words = [word.text];
-  } else if (verb.text === "wait") {
-    const word = words.need("wait", "a time in ms", "it");
-    const ms = whole(word, 0, MAX_WAIT);
-    if (ms === undefined) throw new Fault(word.at, `\`wait\` takes a whole number of ms from 0 to ${MAX_WAIT}, not \`${short(word.text)}\``);
-    statement.numbers = [ms];
+function readStatement(card: Card, verb: Word, words: Words): Statement {
+  const said = verb.text === WAIT ? undefined : verbNamed(card, verb.text);
+  if (said) readArguments(said, words);
+  else if (verb.text === WAIT) readWait(words);
+  else {
+    const { words: why, nearest } = unknown(verb.text, [...card.verbs.slice(0, CANDIDATES).map(({ name }) => name), WAIT]);
+    throw new Fault(verb.at, why, nearest);
   }
-  statement.to = words.end > verb.at ? words.end : statement.to;
+  const to = Math.max(words.end, verb.at + verb.text.length);
   const rest = words.next();
   if (rest) throw new Fault(rest.at, `\`${verb.text}\` ends before \`${short(rest.text)}\`; is a \`;\` or a new line missing?`);
-  return statement;
+  return { verb: verb.text, said, from: verb.at, to };
 }
 
 /** The statements of a text as words, without comments; some may have no word. */
@@ -201,7 +218,18 @@ function* split(text: string): Generator<Words> {
   }
 }
 
-function statementsOf(text: string, language: Language): Statement[] {
+/** That each statement may stand where it does. */
+function checkPlaces(statements: readonly Statement[]): void {
+  const count = statements.length;
+  const place = statements.findIndex(({ said }, place) => (said?.velocity && count > 1) || (said?.last && place + 1 !== count));
+  const stray = statements[place];
+  if (!stray) return;
+  const fault = new Fault(stray.from, `\`${stray.verb}\` ${stray.said?.velocity ? "stands alone in" : "must be the last statement of"} its script`);
+  fault.statement = place + 1;
+  throw fault;
+}
+
+function statementsOf(text: string, card: Card): Statement[] {
   const length = bytes(text);
   if (length > MAX_BYTES) throw new Fault(text.length, `the script has ${length} bytes, at most ${MAX_BYTES} are read`);
   const statements: Statement[] = [];
@@ -210,26 +238,21 @@ function statementsOf(text: string, language: Language): Statement[] {
     if (!verb) continue;
     if (statements.length === MAX_STATEMENTS) throw new Fault(verb.at, `the script has more than ${MAX_STATEMENTS} statements`);
     try {
-      statements.push(readStatement(verb, words, language));
+      statements.push(readStatement(card, verb, words));
     } catch (fault) {
       if (fault instanceof Fault) fault.statement = statements.length + 1;
       throw fault;
     }
   }
-  const jog = statements.length > 1 ? statements.findIndex(({ verb }) => verb === "jog") : -1;
-  if (jog >= 0) {
-    const fault = new Fault(0, "`jog` stands alone in its script");
-    fault.statement = jog + 1;
-    throw fault;
-  }
   if (!statements.length) throw new Fault(0, "the script has no statement");
+  checkPlaces(statements);
   return statements;
 }
 
-/** Reads a script. */
-export function read(text: string, language: Language = "arm"): Reading {
+/** Reads a script as the device of this card would; it may refuse more, such as what is out of its reach. */
+export function read(text: string, card: Card): Reading {
   try {
-    return { statements: statementsOf(text, language) };
+    return { statements: statementsOf(text, card) };
   } catch (fault) {
     if (!(fault instanceof Fault)) throw fault;
     const before = text.slice(0, fault.at);
@@ -248,10 +271,9 @@ export function read(text: string, language: Language = "arm"): Reading {
 }
 
 /** Whether a script is right from one place only: its first motion says only how far it goes. */
-export function isRelative(text: string, language: Language = "arm"): boolean {
-  const { statements } = read(text, language);
-  const first = statements?.find(({ verb }) => (language === "arm" ? ["move", "home", "reset", "by"] : ["look", "turn", "home"]).includes(verb));
-  return first?.verb === "by" || first?.verb === "turn";
+export function isRelative(text: string, card: Card): boolean {
+  const first = read(text, card).statements?.find(({ said }) => said?.moves && !said.inPlace);
+  return first?.said?.relative ?? false;
 }
 
 /** One command of a text: a line without its comment. */
@@ -282,12 +304,15 @@ export function commandsOf(text: string): Command[] {
   return found;
 }
 
-/** The mistakes of a text, each in its line of the whole. */
-export function mistakesOf(text: string, language: Language = "arm"): Mistake[] {
-  return commandsOf(text).flatMap(({ line, indent, at, text: command }) => {
-    const { mistake } = read(command, language);
-    return mistake ? [{ ...mistake, line, column: [...text.slice(at - indent, at)].length + mistake.column, index: at + mistake.index }] : [];
-  });
+/** The first mistakes of a text, each in its line of the whole. */
+export function mistakesOf(text: string, card: Card, most = Infinity): Mistake[] {
+  const found: Mistake[] = [];
+  for (const { line, indent, at, text: command } of commandsOf(text)) {
+    if (found.length >= most) break;
+    const { mistake } = read(command, card);
+    if (mistake) found.push({ ...mistake, line, column: [...text.slice(at - indent, at)].length + mistake.column, index: at + mistake.index });
+  }
+  return found;
 }
 
 /** A number as a person would write it, with one decimal at most. */
@@ -301,7 +326,7 @@ export function moveTo(pose: readonly number[]): string {
 }
 
 /** The text with one of its statements replaced. */
-export function replaced(text: string, statement: number, by: string, language: Language = "arm"): string {
-  const found = read(text, language).statements?.[statement - 1];
+export function replaced(text: string, statement: number, by: string, card: Card): string {
+  const found = read(text, card).statements?.[statement - 1];
   return found ? text.slice(0, found.from) + by + text.slice(found.to) : text;
 }
