@@ -40,6 +40,9 @@ pub enum RspTask {
         /// Write a header of C99, for robots that are not in Rust
         #[arg(long, value_name = "FILE")]
         c: Option<PathBuf>,
+        /// Write the library of the robot's end in C into this folder, for the header of C99
+        #[arg(long, value_name = "DIR")]
+        c_library: Option<PathBuf>,
         /// Write a page in Markdown that describes elements and packets
         #[arg(long, value_name = "FILE")]
         docs: Option<PathBuf>,
@@ -87,7 +90,7 @@ const GENERATE: &str = "\
 Examples:
   mom rsp generate config/cubo.toml --rust src/cubo.rs
   mom rsp generate config/cubo.toml --rust src/cubo.rs --ends robot
-  mom rsp generate config/cubo.toml --c firmware/cubo.h --docs cubo.md
+  mom rsp generate config/cubo.toml --c firmware/cubo.h --c-library firmware
   mom rsp generate config/cubo.toml --out generated";
 
 const IMPORT: &str = "\
@@ -147,6 +150,7 @@ pub fn run(args: &VerbArgs, tell: Tell<'_>) -> Result<(), RspFailure> {
             rust,
             ends,
             c,
+            c_library,
             docs,
             out,
         } => {
@@ -160,18 +164,26 @@ pub fn run(args: &VerbArgs, tell: Tell<'_>) -> Result<(), RspFailure> {
                 (c.clone().or_else(|| in_folder("h")), generate::c),
                 (docs.clone().or_else(|| in_folder("md")), generate::markdown),
             ];
-            if makers.iter().all(|(file, _)| file.is_none()) {
+            if makers.iter().all(|(file, _)| file.is_none()) && c_library.is_none() {
                 return Err(RspFailure::Failed {
                     text: "nothing is to be written".to_owned(),
-                    hint: Some("name files with --rust, --c and --docs, or a folder with --out".to_owned()),
+                    hint: Some(
+                        "name files with --rust, --c and --docs, or a folder with --out or --c-library"
+                            .to_owned(),
+                    ),
                 });
             }
-            if let Some(folder) = out {
+            for folder in [out, c_library].into_iter().flatten() {
                 fs::create_dir_all(folder).map_err(|error| of_file("make", folder, &error))?;
             }
             for (file, make) in makers {
                 if let Some(file) = file {
                     write(&file, &make(&model), tell)?;
+                }
+            }
+            if let Some(folder) = c_library {
+                for (name, text) in generate::library() {
+                    write(&folder.join(name), text, tell)?;
                 }
             }
             Ok(())

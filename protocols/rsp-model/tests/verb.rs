@@ -70,6 +70,19 @@ fn generate_writes_what_is_asked_for() {
     assert_eq!(written("ir-robot.h"), generate::c(&model));
     assert_eq!(written("ir-robot.md"), generate::markdown(&model));
 
+    let library = folder.join("c");
+    let told = run(&[
+        "generate",
+        &config("ir-robot.toml"),
+        "--c-library",
+        &library.display().to_string(),
+    ])
+    .unwrap();
+    assert_eq!(told.len(), generate::library().len());
+    for (name, text) in generate::library() {
+        assert_eq!(fs::read_to_string(library.join(name)).unwrap(), text);
+    }
+
     let file = folder.join("only.rs").display().to_string();
     run(&[
         "generate",

@@ -80,7 +80,7 @@ fn a_robot_allocates_nothing_in_a_whole_session() {
             ..Settings::default()
         };
         let mut middle = middle(settings, 1);
-        let mut robot = robot(key, 500);
+        let mut robot = RustCubo::new(&CUBO, robot_settings(key, 500)).expect("the model fits");
         let mut still = Still(0);
         let mut out = [0; 1024];
         let mut count = 0;
@@ -122,9 +122,9 @@ fn a_robot_allocates_nothing_in_a_whole_session() {
 #[test]
 fn a_robot_of_16_elements_has_a_kilobyte() {
     assert!(
-        std::mem::size_of::<Cubo>() <= 1024,
+        std::mem::size_of::<RustCubo>() <= 1024,
         "{}",
-        std::mem::size_of::<Cubo>()
+        std::mem::size_of::<RustCubo>()
     );
     assert!(CUBO.largest() <= 600, "{}", CUBO.largest());
 }

@@ -4,7 +4,7 @@ mod common;
 
 use common::*;
 use mom_rsp::middle::{Notice, Settings};
-use mom_rsp::robot::{Assembly, Body, Outgoing, Robot};
+use mom_rsp::robot::{Assembly, Body, Outgoing};
 use mom_rsp::{FRAGMENT, Fragment, Header, Kind, Layout, Motion, Number, Payload, Refused, Type};
 use proptest::prelude::*;
 
@@ -488,7 +488,7 @@ fn put_out(
         ..element("motor", Kind::Effector, Payload::Numbers(Number::I16, 1))
     }];
     let layout = Layout::new(1, [0; 32], &elements);
-    let mut robot = Robot::<1, 6, 0, 0>::new(&layout, Default::default()).expect("it fits");
+    let mut robot = Both::<1, 6, 0, 0>::new(&layout, Default::default()).expect("it fits");
     let settings = Settings {
         paper,
         ..Settings::default()

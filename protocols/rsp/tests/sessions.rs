@@ -4,7 +4,6 @@ mod common;
 
 use common::*;
 use mom_rsp::middle::{Notice, Reason, Refusal, Settings, State};
-use mom_rsp::robot::Robot;
 use mom_rsp::{Dropped, Element, Header, Layout, Refused, Type};
 
 fn keyed() -> Settings {
@@ -190,7 +189,7 @@ fn another_model_is_refused_by_the_names_of_what_differs() {
         key: Some(KEY),
         ..Default::default()
     };
-    world.robot = Robot::new(Box::leak(Box::new(layout)), settings).unwrap();
+    world.robot = Both::new(Box::leak(Box::new(layout)), settings).unwrap();
     world.middle.start(world.now);
     world.run(100);
     let [Notice::Refused(refusal)] = &world.notices[..] else {

@@ -6,11 +6,13 @@ use crate::model::{Direction, Model, ModelElement};
 
 use super::code::{Code, comment_lines};
 use super::names::{snake, upper};
-use super::{Content, content};
+use super::{Content, c_robot, content};
 
 /// A header of C99: constants, structures, and functions that encode and decode headers, maps and payloads.
 ///
-/// It needs a compiler and a library of C99, allocates nothing, and reads and writes no byte beyond what it is given.
+/// It needs a compiler and a library of C99, allocates nothing, and reads and writes no byte beyond what it is given. Where `mom_rsp.h` of
+/// [`library`](super::library) is included before it, it has the robot's end as well: a structure with its memory, a structure of functions
+/// that the robot's program gives, and functions by which it tells values and raises events.
 #[must_use]
 pub fn c(model: &Model) -> String {
     let header = Header {
@@ -28,6 +30,7 @@ pub fn c(model: &Model) -> String {
         header.encode(direction, &mut code);
         header.decode(direction, &mut code);
     }
+    c_robot::robot(model, &header.small, &header.large, &mut code);
     code.line(format!("#endif /* {}_RSP_H */", header.large));
     code.end()
 }

@@ -1,14 +1,17 @@
 //! What is made of a model, as text: code for both ends, and the description of its packets (S4).
 
 mod c;
+mod c_robot;
 mod code;
 mod docs;
+mod library;
 mod names;
 mod rust;
 mod units;
 
 pub use c::c;
 pub use docs::markdown;
+pub use library::library;
 pub use rust::{Ends, rust, rust_for};
 
 use mom_rsp::Kind;

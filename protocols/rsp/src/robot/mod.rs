@@ -331,8 +331,9 @@ impl<'m, const E: usize, const V: usize, const B: usize, const S: usize> Robot<'
         for slot in &mut self.slots {
             // What was never sent is still nobody else's, and waits for the next session.
             if slot.order != 0 && slot.id != 0 {
+                let element = slot.element;
                 *slot = Buffer::FREE;
-                body.unknown(slot.element);
+                body.unknown(element);
             }
         }
         body.session(false);

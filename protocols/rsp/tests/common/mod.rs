@@ -1,11 +1,16 @@
 //! A model, both ends of it, and a seeded network between them in virtual time.
 #![allow(dead_code, unreachable_pub, reason = "each test program uses some of it")]
 
+pub mod both;
+pub mod c_end;
+
 use std::collections::VecDeque;
 
 use mom_rsp::middle::{self, Middle, Notice, State};
 use mom_rsp::robot::{self, Body, Outgoing, Robot};
 use mom_rsp::{Element, Fragment, Kind, Layout, Motion, Number, Payload};
+
+pub use both::Both;
 
 pub const KEY: [u8; 32] = [7; 32];
 
@@ -98,7 +103,10 @@ pub static CUBO: Layout<'static> = Layout::new(
     ],
 );
 
-pub type Cubo = Robot<'static, 16, { robot::values(&CUBO) }, 4, { robot::slot(&CUBO) }>;
+/// Its end in Rust alone.
+pub type RustCubo = Robot<'static, 16, { robot::values(&CUBO) }, 4, { robot::slot(&CUBO) }>;
+/// Its end in Rust; what is done with it is done with the end in C too.
+pub type Cubo = Both<'static, 16, { robot::values(&CUBO) }, 4, { robot::slot(&CUBO) }>;
 
 /// Numbers that are the same for the same seed.
 #[derive(Clone, Debug)]
@@ -249,12 +257,15 @@ pub struct World {
 }
 
 pub fn robot(key: Option<[u8; 32]>, watchdog: u16) -> Cubo {
-    let settings = robot::Settings {
+    Both::new(&CUBO, robot_settings(key, watchdog)).expect("the model fits")
+}
+
+pub fn robot_settings(key: Option<[u8; 32]>, watchdog: u16) -> robot::Settings {
+    robot::Settings {
         key,
         watchdog,
         ..robot::Settings::default()
-    };
-    Robot::new(&CUBO, settings).expect("the model fits")
+    }
 }
 
 pub fn middle(settings: middle::Settings, seed: u64) -> Middle<'static> {
