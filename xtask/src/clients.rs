@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, Result, bail};
 
-use crate::command::{line, output, output_within};
+use crate::command::{cargo, line, output, output_within, shows};
 use crate::counts::{Counts, LIMIT};
 use crate::javascript;
 
@@ -42,8 +42,35 @@ pub(crate) fn pack(root: &Path, language: &str) -> Result<()> {
             Ok(())
         }
         "javascript" => javascript::pack(root, &target(root).join("packages")),
-        other => bail!("there is no client in {other:?} to be packed: python, javascript"),
+        "rust" => pack_crates(root),
+        other => bail!("there is no client in {other:?} to be packed: python, javascript, rust"),
     }
+}
+
+/// The packages of a device's or a client's program in Rust, each behind those that it needs.
+const CRATES: [&str; 7] = [
+    "mom-nearest",
+    "mom-proto",
+    "mom-net",
+    "mom-client",
+    "mom-pages",
+    "mom-device",
+    "mom-program",
+];
+
+/// Packs them, and builds each from what was packed.
+fn pack_crates(root: &Path) -> Result<()> {
+    let folder = target(root).join("packages");
+    let mut packing = cargo(root);
+    packing
+        .args(["package", "--locked", "--allow-dirty", "--target-dir"])
+        .arg(&folder)
+        .args(CRATES.iter().flat_map(|name| ["-p", name]));
+    if !shows(&mut packing)? {
+        bail!("`{}` failed", line(&packing));
+    }
+    println!("in {}", folder.join("package").display());
+    Ok(())
 }
 
 /// The folder that cargo builds into.

@@ -111,9 +111,9 @@ enum Task {
         #[arg(long)]
         write: bool,
     },
-    /// Write a client in another language as a package, into target/packages.
+    /// Write the client of a language as a package, into target/packages.
     Pack {
-        /// Its language: python or javascript.
+        /// Its language: python, javascript or rust.
         language: String,
         #[command(flatten)]
         install: InstallArgs,
