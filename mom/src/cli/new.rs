@@ -57,8 +57,13 @@ fn name(text: &str) -> Result<String, String> {
             .chars()
             .all(|letter| letter.is_ascii_lowercase() || letter.is_ascii_digit() || letter == '-');
     match (is_right, text) {
-        (_, "operator" | "token" | "house" | "device" | "test") => {
-            Err(format!("`{text}` has a meaning of its own in what is made"))
+        (
+            _,
+            "operator" | "token" | "house" | "device" | "test" | "build" | "deps" | "examples"
+            | "incremental",
+        ) => Err(format!("`{text}` has a meaning of its own in what is made")),
+        _ if text == "mom" || text.starts_with("mom-") => {
+            Err("names that begin with `mom-` are those of MOM's own packages".to_owned())
         }
         (true, _) => Ok(text.to_owned()),
         (false, _) => Err("a name has 1 to 32 of a-z, 0-9 and -, and begins with a letter".to_owned()),

@@ -96,8 +96,8 @@ const RUST: Kit = Kit {
         ("DRIVER-FILE", "src/driver.rs"),
         ("TEST-FILE", "tests/robot.rs"),
         ("TEST-COMMAND", "cargo test"),
-        ("INSTALL", "cargo build"),
-        ("RUN", "cargo run"),
+        ("INSTALL", "cargo build --release"),
+        ("RUN", "cargo run --release"),
         ("EXEC-START", "/opt/newbot/target/release/newbot"),
         ("HUB-ADDRESS", "bin://127.0.0.1:7666"),
     ],
@@ -110,9 +110,14 @@ pub(crate) fn run(command: &NewCommand, output: Output) -> Result<(), Failure> {
 
 fn device(args: &NewDeviceArgs, output: Output) -> Result<(), Failure> {
     let folder = args.out.clone().unwrap_or_else(|| PathBuf::from(&args.name));
-    if fs::read_dir(&folder).is_ok_and(|mut files| files.next().is_some()) {
+    let is_free = match fs::read_dir(&folder) {
+        Ok(mut files) => files.next().is_none(),
+        // Also one that leads nowhere.
+        Err(_) => fs::symlink_metadata(&folder).is_err(),
+    };
+    if !is_free {
         return Err(Failure::usage(
-            format!("{} exists, and is not empty", folder.display()),
+            format!("{} exists, and is not an empty folder", folder.display()),
             "choose another folder with --out FOLDER",
         ));
     }
@@ -154,7 +159,7 @@ fn device(args: &NewDeviceArgs, output: Output) -> Result<(), Failure> {
         args.name,
         key.public(),
     );
-    write("users.toml", &users, false)?;
+    write("users.toml", &users, true)?;
     let place = folder.display().to_string();
     let lines = || next_steps(&place, &kit, &args.name, checkout.is_some());
     output.tell(
@@ -162,6 +167,15 @@ fn device(args: &NewDeviceArgs, output: Output) -> Result<(), Failure> {
         lines,
     )?;
     Ok(())
+}
+
+/// A word as a shell reads it, whatever stands in it.
+fn quoted(word: &str) -> String {
+    let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "/._-".contains(letter);
+    match word.chars().all(is_plain) {
+        true => word.to_owned(),
+        false => format!("'{}'", word.replace('\'', r"'\''")),
+    }
 }
 
 /// What to do with it.
@@ -183,7 +197,7 @@ fn next_steps(place: &str, kit: &Kit, name: &str, has_checkout: bool) -> String 
     format!(
         "{place_name}/ has a robot on two wheels in {}, on simulated motors.
 
-  cd {place}
+  cd {}
   {install}
   mom-broker --config hub.toml             the hub, until Ctrl-C; with the console: http://127.0.0.1:7666
   {run:<40} the robot, in another terminal
@@ -195,7 +209,8 @@ fn next_steps(place: &str, kit: &Kit, name: &str, has_checkout: bool) -> String 
   {test:<40} drives it and stops it through a hub of its own
 {published}
 README.md in it says what each file is, and what to do next.",
-        kit.name
+        kit.name,
+        quoted(place)
     )
 }
 
