@@ -192,30 +192,47 @@ pub(crate) fn check(card: Option<&Card>, script: &str) -> Result<bool, Box<Answe
     }
 }
 
-/// The numbers of the velocities in a script.
-pub(crate) fn speeds(card: Option<&Card>, script: &str) -> Vec<f64> {
-    let is_velocity = |verb: &str| match card.map(|card| card.verb(verb)) {
-        Some(verb) => verb.is_some_and(|verb| verb.velocity),
-        None => verb == "jog",
+/// The greatest speed of the velocities in a script, mm/s or degrees/s, also one that is left out; an infinite one where nothing can be known
+/// of it, as of a word or of another unit.
+pub(crate) fn fastest(card: Option<&Card>, script: &str) -> f64 {
+    let of = |mut words: std::str::SplitWhitespace<'_>| {
+        let name = words.next().unwrap_or_default();
+        match card {
+            Some(card) => {
+                let verb = card.verb(name).filter(|verb| verb.velocity);
+                verb.map_or(0.0, |verb| speed(verb, words))
+            }
+            // An arm of an earlier version. What is not a number it refuses.
+            None if name == "jog" => {
+                let numbers = words.take(5).filter_map(|word| word.parse().ok());
+                numbers.fold(0.0, |most, part: f64| most.max(part.abs()))
+            }
+            None => 0.0,
+        }
     };
-    let of = |mut words: std::str::SplitWhitespace<'_>| -> Vec<f64> {
-        let Some(verb) = words.next().filter(|verb| is_velocity(verb)) else {
-            return Vec::new();
-        };
-        // Times are not speeds.
-        let args = card.and_then(|card| card.verb(verb)).map(|verb| &verb.args);
-        let is_time = |place: usize| match args {
-            Some(args) => args.get(place).is_some_and(|arg| arg.unit == "ms"),
-            None => place >= 5,
-        };
-        // What is not a number the device refuses.
-        words
-            .enumerate()
-            .filter(|(place, _)| !is_time(*place))
-            .filter_map(|(_, word)| word.parse().ok())
-            .collect()
-    };
-    statement_words(script).flat_map(of).collect()
+    statement_words(script).map(of).fold(0.0, f64::max)
+}
+
+fn speed(verb: &CardVerb, mut words: std::str::SplitWhitespace<'_>) -> f64 {
+    let parts = verb.args.iter().map(|arg| {
+        let said = words.next().map(|word| word.parse::<f64>().ok());
+        let number = said.unwrap_or_else(|| match &arg.default {
+            Some(Value::Double(number)) => Some(*number),
+            Some(Value::Int(number)) => Some(*number as f64),
+            _ => None,
+        });
+        match (&*arg.unit, number) {
+            // How long it lasts.
+            ("ms", _) => 0.0,
+            ("mm/s" | "degrees/s", Some(number)) => number.abs(),
+            _ => f64::INFINITY,
+        }
+    });
+    let most = parts.fold(0.0, f64::max);
+    match verb.repeats {
+        0 if !verb.args.is_empty() => most,
+        _ => f64::INFINITY,
+    }
 }
 
 fn statement_words(script: &str) -> impl Iterator<Item = std::str::SplitWhitespace<'_>> {
@@ -278,13 +295,27 @@ mod tests {
 
     #[test]
     fn velocities_are_those_of_the_card() {
-        let card = crane();
-        assert_eq!(speeds(Some(&card), "hoist 800; creep -150 900"), [-150.0]);
-        assert_eq!(
-            speeds(None, "jog 0 -101 0 0 0 1000; move 500"),
-            [0.0, -101.0, 0.0, 0.0, 0.0]
-        );
-        assert!(speeds(None, "creep 900").is_empty());
+        let verb = |name: &str, args: Vec<CardArg>| CardVerb::motion(name, "").velocity().args(args);
+        let card = crane().verbs([
+            verb("rush", vec![CardArg::number("speed", "mm/s").or(800)]),
+            verb("cruise", vec![CardArg::number("speed", "m/s")]),
+            verb("spin", vec![CardArg::one_of("how", &["slow", "fast"])]),
+            verb("go-on", vec![]),
+        ]);
+        for (script, most) in [
+            ("hoist 800; creep -150 900", 150.0),
+            ("creep 90", 90.0),
+            ("hoist 800", 0.0),
+            ("rush", 800.0),
+            ("rush 50", 50.0),
+            ("cruise 0.05", f64::INFINITY),
+            ("spin fast", f64::INFINITY),
+            ("go-on", f64::INFINITY),
+        ] {
+            assert_eq!(fastest(Some(&card), script), most, "{script}");
+        }
+        assert_eq!(fastest(None, "jog 0 -101 0 0 0 1000; move 500"), 101.0);
+        assert_eq!(fastest(None, "creep 900"), 0.0);
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::future::pending;
 use std::time::Duration;
 
 use mom_client::{
-    BASED_ON, Card, Event, Events, Family, Lost, Parcel, TokenGuard, Value, WireError, from_value,
+    BASED_ON, Card, Event, Events, Family, Lost, Parcel, TokenGuard, Value, WireError, from_value, visible,
 };
 use mom_drive::{Doing as _, HALTED, Halt, VerbFailure, halt};
 use serde::Deserialize;
@@ -13,7 +13,7 @@ use tokio::time::timeout;
 
 use crate::answer::Answer;
 use crate::assistant::Assistant;
-use crate::device::speeds;
+use crate::device::fastest;
 use crate::progress::Progress;
 
 /// So long the robot may take to stand under a new owner.
@@ -60,7 +60,11 @@ pub(crate) struct Running {
 /// The error of a command.
 pub(crate) fn failed(status: &Status) -> Answer {
     let error = status.error.clone().unwrap_or_default();
-    let error = error.as_map().map(WireError::from_map);
+    // It is the device's own text.
+    let error = error.as_map().map(WireError::from_map).map(|error| WireError {
+        text: visible(&error.text).to_string(),
+        ..error
+    });
     let place = match status.statement {
         0 => String::new(),
         number => format!(" at statement {number} of {}", status.of),
@@ -141,8 +145,7 @@ pub(crate) async fn carry_out(
 
 /// Why a script is not carried out under a token that came without a scope: it drives on too fast.
 pub(crate) fn too_fast(card: Option<&Card>, script: &str) -> Option<Answer> {
-    let is_fast = speeds(card, script).iter().any(|part| part.abs() > FASTEST);
-    is_fast.then(|| {
+    (fastest(card, script) > FASTEST).then(|| {
         let text = format!(
             "a velocity is at most {FASTEST} mm/s and degrees/s under a token that came without a scope; ask a person to give it with one"
         );
