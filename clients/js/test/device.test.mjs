@@ -97,7 +97,7 @@ class Cart extends Machine {
 const STATEMENTS = { go: "go 100", back: "go 0", wrong: "og 100", beyond: "go 1001", "beyond-error": "workspace-boundary 5002", relative: "by 20", velocity: "jog 50" };
 
 // Some dialogues are played for each of several events; none may be left out in silence.
-for (const [completes, name, least] of [[false, "a cart", 49], [true, "a cart that completes its statement", 53]]) {
+for (const [completes, name, least] of [[false, "a cart", 51], [true, "a cart that completes its statement", 55]]) {
   test(`${name} does what every device does`, async () => {
     const played = await replay(() => new Cart(completes), STATEMENTS);
     assert.ok(played >= least, `${played} dialogues`);

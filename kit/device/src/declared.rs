@@ -12,6 +12,9 @@ use crate::{Attachments, Call, DeviceError, DeviceTime, ErrorName, Machine, Scri
 /// µs between two looks at whether what was begun is done.
 const LOOK: DeviceTime = 10_000;
 
+/// A program that had no turn for so many µs hears what has come meanwhile before it looks again: that may be a stop.
+const LATE: DeviceTime = 50_000;
+
 /// A device, as its author says it: what it can do, how it stands still, and where it is.
 ///
 /// Scripts are read by [`Device::verbs`], which stand in its card as well. None of its methods may block: nothing is heard meanwhile.
@@ -98,8 +101,13 @@ pub struct Declared<D: Device> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Doing {
     Nothing,
-    /// It is asked whether it is done; it moves the device or not.
-    Acts(bool),
+    /// It is asked whether it is done, at this time next; it moves the device or not.
+    Acts {
+        moves: bool,
+        look: DeviceTime,
+        /// It was late, and has waited once for what came meanwhile.
+        has_waited: bool,
+    },
     /// It was done then.
     Done(DeviceTime),
     /// A velocity, until then.
@@ -186,7 +194,7 @@ impl<D: Device> Machine for Declared<D> {
 
     fn is_moving(&self) -> bool {
         match self.doing {
-            Doing::Acts(moves) => moves,
+            Doing::Acts { moves, .. } => moves,
             Doing::Velocity(_) | Doing::GivesWay(_) => true,
             Doing::Nothing | Doing::Done(_) => false,
         }
@@ -221,7 +229,12 @@ impl<D: Device> Machine for Declared<D> {
         self.device.begin(call)?;
         self.doing = match is_velocity {
             true => Doing::Velocity(now.saturating_add(micros(D::VELOCITY_HOLDS))),
-            false => Doing::Acts(call.verb().moves),
+            // Not at once: a stop that came while it began is heard before the next one begins.
+            false => Doing::Acts {
+                moves: call.verb().moves,
+                look: now.saturating_add(LOOK),
+                has_waited: false,
+            },
         };
         Ok(())
     }
@@ -234,9 +247,29 @@ impl<D: Device> Machine for Declared<D> {
     }
 
     fn pursue(&mut self, until: DeviceTime) -> Option<DeviceTime> {
-        if let Doing::Acts(_) = self.doing {
+        if let Doing::Acts {
+            moves,
+            look,
+            has_waited,
+        } = self.doing
+        {
+            if until < look {
+                return None;
+            }
+            let again = |has_waited| Doing::Acts {
+                moves,
+                look: until.saturating_add(LOOK),
+                has_waited,
+            };
+            if until.saturating_sub(self.now) > LATE && !has_waited {
+                self.doing = again(true);
+                return None;
+            }
             match self.device.is_done() {
-                Ok(false) => return None,
+                Ok(false) => {
+                    self.doing = again(false);
+                    return None;
+                }
                 Ok(true) => {}
                 Err(error) => self.failure = Some(error),
             }
@@ -273,7 +306,7 @@ impl<D: Device> Machine for Declared<D> {
 
     fn next_wake(&self) -> Option<DeviceTime> {
         match self.doing {
-            Doing::Acts(_) => Some(self.now.saturating_add(LOOK)),
+            Doing::Acts { look, .. } => Some(look),
             Doing::GivesWay(since) => Some(since.saturating_add(1)),
             _ => None,
         }

@@ -14,7 +14,7 @@ use crate::{
 /// Has a device obey in this channel, until `end` is done. Whatever ends it, the device is halted.
 ///
 /// Where the channel is missing, it is made, guarded by the token beside it, `token`, as far as the device may. When the device is put out
-/// of the channel, or that goes, it stands until it may be there again. Gives the device back.
+/// of the channel, or that goes, it stands until it may be there again.
 ///
 /// ```no_run
 /// use mom_client::{CardArg, CardVerb, Client, ClientError, Map};

@@ -112,12 +112,12 @@ fn stage<const COMPLETES: bool>() -> Stage<Declared<Cart<COMPLETES>>> {
 
 #[test]
 fn a_declared_cart_does_what_every_device_does() {
-    assert_eq!(replay(|| stage::<false>(), &STATEMENTS), 49);
+    assert_eq!(replay(stage::<false>, &STATEMENTS), 51);
 }
 
 #[test]
 fn one_that_completes_its_statement_does_so_too() {
-    assert_eq!(replay(|| stage::<true>(), &STATEMENTS), 53);
+    assert_eq!(replay(stage::<true>, &STATEMENTS), 55);
 }
 
 /// The tools of a kitchen: what no motion shows.
@@ -177,9 +177,11 @@ fn told(script: &str, attached: &Map) -> Result<Vec<String>, DeviceError> {
     let script = Script::read_with::<Declared<Kitchen>>(script, &attachments)?;
     let mut kitchen = Declared::new(Kitchen::default());
     kitchen.plan(&script)?;
-    for (call, _) in script.actions() {
-        kitchen.begin(call, 1)?;
-        assert_eq!(kitchen.pursue(2), Some(2));
+    for ((call, _), now) in script.actions().zip((1..).map(|turn| turn * 20_000)) {
+        kitchen.advance(now);
+        kitchen.begin(call, now)?;
+        assert_eq!(kitchen.pursue(now), None, "what has come is heard before it ends");
+        assert_eq!(kitchen.pursue(now + 10_000), Some(now + 10_000));
     }
     Ok(kitchen.device().told[1..].to_vec())
 }
@@ -228,6 +230,7 @@ fn what_cannot_go_on_ends_its_command_and_halts_the_device() {
     let mut stage = Stage::new(Declared::new(Kitchen::default()));
     stage.note(|kitchen| kitchen.device_mut().fails = true);
     stage.act("alice command 1 5: follow 1; light");
+    stage.act("after 10");
     let heard = stage.heard();
     assert!(
         heard.contains(&"status alice/1 error 1/2 obstacle 5110".to_owned()),
@@ -266,4 +269,64 @@ fn whatever_ends_it_the_device_is_halted() {
     wheel.begin(script.actions().next().unwrap().0, 0).unwrap();
     drop(wheel);
     assert_eq!(*told.lock().unwrap(), ["halt", "spin", "halt"]);
+}
+
+/// Begins slowly, as what waits for a bus, and is done at once.
+#[derive(Debug, Default)]
+struct Slow(Vec<String>);
+
+impl Device for Slow {
+    const NAME: &str = "the slow one";
+
+    fn verbs() -> Vec<CardVerb> {
+        vec![CardVerb::motion("go", "Goes").args([CardArg::whole("to", "")])]
+    }
+
+    fn begin(&mut self, call: &Call) -> Result<(), DeviceError> {
+        self.0.push(format!("go {}", call.number("to")?));
+        Ok(())
+    }
+
+    fn is_done(&mut self) -> Result<bool, DeviceError> {
+        self.0.push("done?".to_owned());
+        Ok(true)
+    }
+
+    fn halt(&mut self) {
+        self.0.push("halt".to_owned());
+    }
+
+    fn position(&self) -> Map {
+        Map::new().with("x", 0.0)
+    }
+}
+
+#[test]
+fn what_came_while_a_statement_blocked_is_heard_before_the_next_one_begins() {
+    for (blocked, told) in [(300, vec!["go 1", "halt"]), (2000, vec!["go 1", "halt", "halt"])] {
+        let mut stage = Stage::new(Declared::new(Slow::default()));
+        stage.note(|slow| slow.device_mut().0.clear());
+        stage.act("alice command 1 5: go 1; go 2; go 3");
+        stage.act("alice command 2 5: go 4");
+        // The program comes back, and finds a stop.
+        stage.act(&format!("frozen {blocked}"));
+        stage.act("bob stop");
+        stage.act("after 1000");
+        let slow = stage.server().machine().device();
+        assert_eq!(slow.0, told, "{blocked} ms");
+    }
+}
+
+#[test]
+fn what_is_always_late_comes_to_its_end_all_the_same() {
+    let mut stage = Stage::new(Declared::new(Slow::default()));
+    stage.act("alice command 1 5: go 1; go 2");
+    for _ in 0..8 {
+        stage.act("frozen 100");
+    }
+    let heard = stage.heard();
+    assert!(
+        heard.iter().any(|line| line == "status alice/1 finished 2/2"),
+        "{heard:?}"
+    );
 }

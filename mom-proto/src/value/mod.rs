@@ -201,6 +201,16 @@ impl From<i64> for Value {
     }
 }
 
+impl From<f64> for Value {
+    /// What is not finite is no value: no form can say it.
+    fn from(number: f64) -> Value {
+        match number.is_finite() {
+            true => Value::Double(number),
+            false => Value::Null,
+        }
+    }
+}
+
 impl From<&str> for Value {
     fn from(text: &str) -> Value {
         Value::String(text.to_owned())

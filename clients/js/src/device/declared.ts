@@ -3,13 +3,11 @@ import type { Fields } from "../value.js";
 import { type Call, attachTo, readCall } from "./declare.js";
 import { DeviceError, deviceErrorOf } from "./errors.js";
 import { Machine } from "./machine.js";
-import { LOOK, Motion, Sample } from "./rest.js";
+import { LOOK, LOOK_AT_REST, Motion, Sample } from "./rest.js";
 import { copyOf } from "./sayable.js";
 import type { Attachments, Script, Word, Words } from "./script.js";
 import type { Spec } from "./spec.js";
 
-/** µs between two looks at a device that stands. */
-const LOOK_AT_REST = 150_000;
 /** µs that a promise of `halt` may take beyond the stopping time. */
 const LATE = 1_000_000;
 

@@ -5,6 +5,8 @@ import { Double, type Fields, type Value } from "../index.js";
 export const REST = 300_000;
 /** µs between two looks at a device that may be coming to rest. */
 export const LOOK = 50_000;
+/** µs between two looks at a device that rests. */
+export const LOOK_AT_REST = 150_000;
 /** The key of a position that is an angle, degrees. */
 const HEADING = "heading";
 
