@@ -88,6 +88,11 @@ class Cart extends Machine {
     return { x: this.x };
   }
 
+  /** Something may move it. */
+  nextWake() {
+    return this.now + 150_000;
+  }
+
   /** As by a hand. */
   push() {
     this.pushed = 50;

@@ -97,6 +97,10 @@ class Cart(Machine):
     def position(self) -> Mapping[str, Any]:
         return {"x": self.x}
 
+    def next_wake(self) -> Optional[int]:
+        # Something may move it.
+        return self.now + 150_000
+
     def push(self) -> None:
         """As by a hand."""
         self.pushed = 50.0

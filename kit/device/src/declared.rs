@@ -7,7 +7,10 @@ use std::time::Duration;
 use mom_client::{Card, CardVerb, Map};
 
 use crate::call::{check_places, read_statement};
-use crate::{Attachments, Call, DeviceError, DeviceTime, ErrorName, Machine, Script, Statement, Word, Words};
+use crate::{
+    Attachments, Call, DeviceError, DeviceTime, ErrorName, LOOK_AT_REST, Machine, Script, Statement, Word,
+    Words,
+};
 
 /// µs between two looks at whether what was begun is done.
 const LOOK: DeviceTime = 10_000;
@@ -308,7 +311,7 @@ impl<D: Device> Machine for Declared<D> {
         match self.doing {
             Doing::Acts { look, .. } => Some(look),
             Doing::GivesWay(since) => Some(since.saturating_add(1)),
-            _ => None,
+            _ => Some(self.now.saturating_add(LOOK_AT_REST)),
         }
     }
 

@@ -39,7 +39,7 @@ pub use machine::{Machine, STATE_PERIOD, card};
 pub use obey::obey;
 pub use outlet::{Outlet, Sending, sender};
 pub use queue::{CommandQueue, MAX_WAITING};
-pub use rest::{AtRest, REST, Rest, Sample};
+pub use rest::{AtRest, LOOK_AT_REST, REST, Rest, Sample};
 pub use run::{DevicePeer, Happening};
 pub use script::{Attachments, MAX_ATTACHED, MAX_BYTES, MAX_STATEMENTS, MAX_WAIT, Script, Statement};
 pub use server::{COMMAND, DeviceServer, STATE, STATUS};

@@ -9,9 +9,6 @@ use crate::{AtRest, DeviceError, DeviceTime, ErrorName, MAX_ATTACHED, Machine, R
 
 mod hand_over;
 
-/// µs between two looks at a device that rests.
-const LOOK_AT_REST: DeviceTime = 150_000;
-
 /// The most commands that wait behind the one being carried out.
 pub const MAX_WAITING: usize = 64;
 
@@ -356,8 +353,7 @@ impl<M: Machine> CommandQueue<M> {
         let tell = self.is_lively().then_some(self.publish);
         // While it is carrying something out there is no rest to be looked for, and none of what is not reached.
         let stands = self.active.is_none() && !self.machine.is_moving() && self.machine.is_reached();
-        let look = || self.rest.next_look(self.now).or_else(|| self.looks_again());
-        let look = stands.then(look).flatten();
+        let look = stands.then(|| self.rest.next_look(self.now)).flatten();
         let waits = self
             .waits_until
             .filter(|_| self.active.is_none() && self.waits_for_rest());
@@ -365,12 +361,6 @@ impl<M: Machine> CommandQueue<M> {
             .into_iter()
             .flatten()
             .min()
-    }
-
-    /// When it is looked whether it still rests: something may move it. Where it is asked, or tells by itself, news of it come.
-    fn looks_again(&self) -> Option<DeviceTime> {
-        let is_measured = self.rest.known() == Some(AtRest::Measured);
-        (is_measured && self.machine.known_at().is_none()).then(|| self.now.saturating_add(LOOK_AT_REST))
     }
 
     /// Whether a command is being carried out or waits, so that the device may be elsewhere soon.

@@ -10,6 +10,9 @@ pub const REST: DeviceTime = 300_000;
 /// µs between two looks at a device that may be coming to rest.
 const LOOK: DeviceTime = 50_000;
 
+/// µs between two looks at a device that rests, and that something may move.
+pub const LOOK_AT_REST: DeviceTime = 150_000;
+
 /// The key of a position that is an angle, degrees.
 const HEADING: &str = "heading";
 

@@ -1,7 +1,7 @@
 //! What every device does alike, replayed by a cart that has all that the dialogues ask for.
 
 use mom_client::{Card, CardArg, CardVerb, Map, Value};
-use mom_device::{DeviceError, DeviceTime, ErrorName, Machine, Script, Word, Words};
+use mom_device::{DeviceError, DeviceTime, ErrorName, LOOK_AT_REST, Machine, Script, Word, Words};
 use mom_device_cases::{Stage, Statements, replay};
 
 /// mm/s, and µs for which a velocity holds.
@@ -141,6 +141,10 @@ impl<const COMPLETES: bool> Machine for Cart<COMPLETES> {
             (self.speed, self.jogs) = (0.0, false);
         }
         self.now = now;
+    }
+
+    fn next_wake(&self) -> Option<DeviceTime> {
+        Some(self.now + LOOK_AT_REST)
     }
 
     fn position(&self) -> Map {

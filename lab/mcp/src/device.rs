@@ -205,12 +205,12 @@ pub(crate) fn fastest(card: Option<&Card>, script: &str) -> f64 {
             // An arm of an earlier version. What is not a number it refuses.
             None if name == "jog" => {
                 let numbers = words.take(5).filter_map(|word| word.parse().ok());
-                numbers.fold(0.0, |most, part: f64| most.max(part.abs()))
+                numbers.fold(0.0_f64, |most, part: f64| most.max(part.abs()))
             }
             None => 0.0,
         }
     };
-    statement_words(script).map(of).fold(0.0, f64::max)
+    statement_words(script).map(of).fold(0.0_f64, f64::max)
 }
 
 fn speed(verb: &CardVerb, mut words: std::str::SplitWhitespace<'_>) -> f64 {
@@ -228,7 +228,7 @@ fn speed(verb: &CardVerb, mut words: std::str::SplitWhitespace<'_>) -> f64 {
             _ => f64::INFINITY,
         }
     });
-    let most = parts.fold(0.0, f64::max);
+    let most = parts.fold(0.0_f64, f64::max);
     match verb.repeats {
         0 if !verb.args.is_empty() => most,
         _ => f64::INFINITY,

@@ -61,9 +61,9 @@ pub(crate) struct Running {
 pub(crate) fn failed(status: &Status) -> Answer {
     let error = status.error.clone().unwrap_or_default();
     // It is the device's own text.
-    let error = error.as_map().map(WireError::from_map).map(|error| WireError {
-        text: visible(&error.text).to_string(),
-        ..error
+    let error = error.as_map().map(WireError::from_map).map(|mut error| {
+        error.text = visible(&error.text).to_string();
+        error
     });
     let place = match status.statement {
         0 => String::new(),

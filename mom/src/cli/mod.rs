@@ -30,6 +30,7 @@ use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, INHIBIT, INVITE, 
 use self::drive::{CARD, JOG, RUN, TRACE};
 pub(crate) use self::drive::{CardArgs, JogArgs, RunArgs, TraceArgs};
 use self::look::{LOGS, TOP};
+use self::new::NEW;
 pub(crate) use self::new::{Language, NewCommand, NewDeviceArgs};
 use self::stop::{STOP, UNSTOP};
 
@@ -159,7 +160,7 @@ pub(crate) enum Command {
     #[command(after_help = KEYGEN)]
     Keygen(KeygenArgs),
     /// Begin a device of your own, in Python, JavaScript or Rust
-    #[command(subcommand)]
+    #[command(subcommand, after_help = NEW)]
     New(NewCommand),
     /// Tell the settings of a camera, or change them
     #[command(after_help = CAMERA)]

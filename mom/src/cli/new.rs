@@ -41,6 +41,11 @@ pub(crate) enum Language {
     Rust,
 }
 
+pub(super) const NEW: &str = "\
+Examples:
+  mom new device cart                      in Python, in the folder cart
+  mom new device --help                    what else can be said";
+
 const DEVICE: &str = "\
 Examples:
   mom new device cart                      in Python, in the folder cart

@@ -2,7 +2,7 @@
 import { type Command, type Order, type QueueEvent, type State, progressOf } from "./commands.js";
 import { DeviceError, deviceErrorOf } from "./errors.js";
 import type { Machine } from "./machine.js";
-import { type AtRest, REST, Rest, LOOK_AT_REST } from "./rest.js";
+import { type AtRest, REST, Rest } from "./rest.js";
 import { MAX_ATTACHED, type Script } from "./script.js";
 
 /** The most commands that wait behind the one being carried out. */
@@ -307,9 +307,7 @@ export class CommandQueue<A> {
     const tell = this.#isLively ? this.#publish : undefined;
     // While it is carrying something out no rest is looked for, and none of what is not reached.
     const stands = !this.#active && !machine.isMoving() && machine.isReached();
-    // At rest, too: something may move it. Where it is asked, or tells by itself, news of it come.
-    const again = this.#rest.known === "measured" && machine.knownAt() === undefined ? this.#now + LOOK_AT_REST : undefined;
-    const look = stands ? (this.#rest.nextLook(this.#now) ?? again) : undefined;
+    const look = stands ? this.#rest.nextLook(this.#now) : undefined;
     const waits = !this.#active && this.#waitsForRest ? this.#waitsUntil : undefined;
     const wakes = [ends, tell, look, waits, machine.nextWake()].filter((wake) => wake !== undefined);
     return wakes.length ? Math.min(...wakes) : undefined;

@@ -97,6 +97,7 @@ impl Errand<'_> {
             keep_going: self.keep_going,
             fence: guard.fence(),
             newest: None,
+            moves: false,
             card,
             shown: self.shown,
             output,
@@ -257,6 +258,8 @@ struct Job {
     fence: u64,
     /// The id of the newest state.
     newest: Option<u64>,
+    /// Whether it said then that it moves.
+    moves: bool,
     /// Where the hand is, if it is to be shown what a controller would be told.
     shown: Option<Pose>,
     output: Output,
@@ -312,6 +315,7 @@ impl Job {
             return;
         }
         self.newest = parcel.id.or(self.newest);
+        self.moves = parcel.value().get("moving").and_then(Value::as_bool) == Some(true);
         if !parcel.is_history() {
             self.robot = parcel.sender.as_deref().map(str::to_owned).or(self.robot.take());
         }
@@ -322,17 +326,24 @@ impl Job {
         }
     }
 
-    /// The id of the newest state, which the robot tells to new members.
+    /// The id of the newest state, which the robot tells to new members; once it stands, since no other is of where it will be.
     async fn newest_state(&mut self) -> Result<u64, Failure> {
-        let deadline = Instant::now() + ANSWER;
+        let begin = Instant::now();
         loop {
-            if let Some(newest) = self.newest {
-                return Ok(newest);
-            }
-            let event = timeout_at(deadline, self.events.next())
-                .await
-                .map_err(|_| self.nobody())?;
-            let event = event.ok_or_else(closed)?;
+            let patience = match self.newest {
+                Some(newest) if !self.moves => return Ok(newest),
+                Some(_) => STANDING,
+                None => ANSWER,
+            };
+            let event = match (
+                timeout_at(begin + patience, self.events.next()).await,
+                self.newest,
+            ) {
+                (Ok(event), _) => event.ok_or_else(closed)?,
+                // It says itself that it moves.
+                (Err(_), Some(newest)) => return Ok(newest),
+                (Err(_), None) => return Err(self.nobody()),
+            };
             self.see(&event);
             self.read(&event, 0)?;
         }

@@ -45,7 +45,7 @@ test("it says what it can do", () => {
 });
 
 test("it drives, and refuses what is out of its range", () => {
-  const done = run("drive 100; turn 30");
+  const done = run("drive 100; turn 30\ndrive -50\n");
   assert.equal(done.status, 0, done.stderr);
   const refused = run("drive 5000");
   assert.equal(refused.status, 1, refused.stderr);

@@ -38,7 +38,7 @@ class TestRobot(unittest.TestCase):
         self.assertIn("drive", card.stdout, card.stderr)
 
     def test_it_drives_and_refuses_what_is_out_of_its_range(self):
-        done = self.run_script("drive 100; turn 30")
+        done = self.run_script("drive 100; turn 30\ndrive -50\n")
         self.assertEqual(done.returncode, 0, done.stderr)
         refused = self.run_script("drive 5000")
         self.assertEqual(refused.returncode, 1, refused.stderr)

@@ -10,11 +10,8 @@ from typing import Callable, Deque, Generic, Iterator, List, Optional, TypeVar
 from .command import Command, Order, QueueEvent, State, Told
 from .errors import DeviceError
 from .machine import Machine
-from .rest import MEASURED, REST, Rest
+from .rest import REST, Rest
 from .script import MAX_ATTACHED, Script, Wait
-
-_LOOK_AT_REST = 150_000
-"""µs between two looks at a device that rests."""
 
 MAX_WAITING = 64
 """The most commands that wait behind the one being carried out."""
@@ -133,9 +130,6 @@ class CommandQueue(Generic[M]):
         # While it is carrying something out there is no rest to be looked for, and none of what is not reached.
         if self._active is None and not self.machine.is_moving() and self.machine.is_reached():
             due.append(self._rest.next_look(self.now))
-            # Something may move it. Where it is asked, or tells by itself, news of it come.
-            if self._rest.known == MEASURED and self.machine.known_at() is None:
-                due.append(self.now + _LOOK_AT_REST)
         if self._active is None and self._waits_for_rest():
             due.append(self._waits_until)
         return min((one for one in due if one is not None), default=None)

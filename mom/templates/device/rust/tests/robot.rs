@@ -70,7 +70,7 @@ fn it_says_what_it_can_do_drives_and_stops() {
     let card = programs.mom(&["card", "/newbot/robot"], "");
     assert!(String::from_utf8_lossy(&card.stdout).contains("drive"), "{card:?}");
 
-    let done = programs.run("drive 100; turn 30");
+    let done = programs.run("drive 100; turn 30\ndrive -50\n");
     assert!(done.status.success(), "{done:?}");
     let refused = programs.run("drive 5000");
     assert_eq!(refused.status.code(), Some(1), "{refused:?}");
