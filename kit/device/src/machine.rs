@@ -133,8 +133,8 @@ pub trait Machine: fmt::Debug {
     /// Lets time pass until `now`.
     fn advance(&mut self, now: DeviceTime);
 
-    /// When [`Machine::advance`] has to be called next; `None` if it changes by commands only. What something else may move asks for it each
-    /// [`LOOK_AT_REST`](crate::LOOK_AT_REST) also while it rests: what is not looked at is believed to rest on.
+    /// When [`Machine::advance`] has to be called next; `None` if it changes by commands only. What something else may move asks for it
+    /// each [`LOOK_AT_REST`](crate::LOOK_AT_REST) also while it rests: what is not looked at is believed to rest on.
     fn next_wake(&self) -> Option<DeviceTime> {
         None
     }

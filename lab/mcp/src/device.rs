@@ -192,8 +192,8 @@ pub(crate) fn check(card: Option<&Card>, script: &str) -> Result<bool, Box<Answe
     }
 }
 
-/// The greatest speed of the velocities in a script, mm/s or degrees/s, also one that is left out; an infinite one where nothing can be known
-/// of it, as of a word or of another unit.
+/// The greatest speed of the velocities in a script, mm/s or degrees/s, also one that is left out; an infinite one where nothing can be
+/// known of it, as of a word or of another unit.
 pub(crate) fn fastest(card: Option<&Card>, script: &str) -> f64 {
     let of = |mut words: std::str::SplitWhitespace<'_>| {
         let name = words.next().unwrap_or_default();
@@ -216,7 +216,7 @@ pub(crate) fn fastest(card: Option<&Card>, script: &str) -> f64 {
 fn speed(verb: &CardVerb, mut words: std::str::SplitWhitespace<'_>) -> f64 {
     let parts = verb.args.iter().map(|arg| {
         let said = words.next().map(|word| word.parse::<f64>().ok());
-        let number = said.unwrap_or_else(|| match &arg.default {
+        let number = said.unwrap_or(match &arg.default {
             Some(Value::Double(number)) => Some(*number),
             Some(Value::Int(number)) => Some(*number as f64),
             _ => None,

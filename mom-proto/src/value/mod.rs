@@ -202,7 +202,7 @@ impl From<i64> for Value {
 }
 
 impl From<f64> for Value {
-    /// What is not finite is no value: no form can say it.
+    /// A number that is not finite becomes null: no form can say it.
     fn from(number: f64) -> Value {
         match number.is_finite() {
             true => Value::Double(number),
