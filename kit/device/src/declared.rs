@@ -4,7 +4,7 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_client::{Card, CardVerb, Map};
+use mom_client::{Card, CardVerb, Map, Value};
 
 use crate::call::{check_places, read_statement};
 use crate::{
@@ -155,6 +155,21 @@ impl<D: Device> Declared<D> {
     /// The device itself, such as to tell it what its mechanism said.
     pub fn device_mut(&mut self) -> &mut D {
         &mut self.device
+    }
+}
+
+/// With null for numbers that are not finite: no form can say those, and the whole state would be lost.
+fn sayable(said: Map) -> Map {
+    said.into_iter()
+        .fold(Map::new(), |map, (key, value)| map.with(&key, finite(value)))
+}
+
+fn finite(value: Value) -> Value {
+    match value {
+        Value::Double(number) => number.into(),
+        Value::List(values) => Value::List(values.into_iter().map(finite).collect()),
+        Value::Map(map) => sayable(map).into(),
+        other => other,
     }
 }
 
@@ -316,10 +331,10 @@ impl<D: Device> Machine for Declared<D> {
     }
 
     fn position(&self) -> Map {
-        self.device.position()
+        sayable(self.device.position())
     }
 
     fn report(&self) -> Map {
-        self.device.report()
+        sayable(self.device.report())
     }
 }

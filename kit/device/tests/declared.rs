@@ -330,3 +330,47 @@ fn what_is_always_late_comes_to_its_end_all_the_same() {
         "{heard:?}"
     );
 }
+
+/// Its sensor is broken, and says so by numbers that are none.
+#[derive(Debug)]
+struct Blind;
+
+impl Device for Blind {
+    const NAME: &str = "the blind one";
+
+    fn verbs() -> Vec<CardVerb> {
+        vec![CardVerb::motion("go", "Goes")]
+    }
+
+    fn begin(&mut self, _: &Call) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    fn is_done(&mut self) -> Result<bool, DeviceError> {
+        Ok(true)
+    }
+
+    fn halt(&mut self) {}
+
+    fn position(&self) -> Map {
+        Map::new().with("x", Value::Double(f64::NAN))
+    }
+
+    fn report(&self) -> Map {
+        let wheel = Map::new().with("speed", Value::Double(f64::INFINITY));
+        Map::new().with("wheels", vec![Value::from(wheel)])
+    }
+}
+
+#[test]
+fn what_is_not_a_number_is_said_as_null_and_measures_nothing() {
+    let machine = Declared::new(Blind);
+    let wheel = Map::new().with("speed", Value::Null);
+    assert_eq!(machine.position(), Map::new().with("x", Value::Null));
+    assert_eq!(
+        machine.report(),
+        Map::new().with("wheels", vec![Value::from(wheel)])
+    );
+    // It is known to stand by its stopping time.
+    assert_eq!(machine.measured(0), None);
+}
