@@ -2,7 +2,6 @@
 
 use clap::Subcommand;
 use mom_client::Client;
-use mom_drive::VerbFailure;
 
 use crate::connect::{Stay, connect};
 use crate::failure::Failure;
@@ -46,12 +45,7 @@ macro_rules! devices {
                 match self {
                     $(DeviceCommand::$name(args) => {
                         let ran = $($module)::+::run(args, client, interrupt.wait(), &mut tell).await;
-                        ran.map_err(|failure| match failure {
-                            VerbFailure::Hub { what, error } => Failure::of_client(what, error),
-                            VerbFailure::Refused { what, error } => Failure::Refused { what, error },
-                            VerbFailure::Failed { text, hint } => Failure::Failed { text, hint },
-                            VerbFailure::Io(error) => Failure::Io(error),
-                        })
+                        ran.map_err(Failure::from)
                     })*
                 }
             }

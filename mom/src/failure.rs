@@ -3,6 +3,7 @@
 use std::io;
 
 use mom_client::{Client, ClientError, Code, WireError};
+use mom_drive::{CommandEnd, VerbFailure};
 
 /// Where the robots of a fleet are.
 const FLEET: &str = "/fleet";
@@ -117,6 +118,26 @@ impl Failure {
             // The reader of our output has closed it.
             Failure::Io(error) if error.kind() == io::ErrorKind::BrokenPipe => 0,
             _ => 1,
+        }
+    }
+}
+
+impl From<VerbFailure> for Failure {
+    fn from(failure: VerbFailure) -> Failure {
+        match failure {
+            VerbFailure::Hub { what, error } => Failure::of_client(what, error),
+            VerbFailure::Refused { what, error } => Failure::Refused { what, error },
+            VerbFailure::Failed { text, hint } => Failure::Failed { text, hint },
+            VerbFailure::Io(error) => Failure::Io(error),
+        }
+    }
+}
+
+impl From<CommandEnd> for Failure {
+    fn from(end: CommandEnd) -> Failure {
+        Failure::Failed {
+            text: end.text,
+            hint: end.hint,
         }
     }
 }

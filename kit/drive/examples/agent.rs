@@ -1,6 +1,6 @@
 //! An agent: it asks for the arm, works, reports, gives the token back, and is interrupted at any moment.
 use mom_client::{Client, Event};
-use mom_drive::{CommandEnd, DeviceChannel, Doing as _, Holding, Robot, WorkEnd, lost_words};
+use mom_drive::{Commander, DeviceChannel, Doing as _, Holding, WorkEnd, lost_words};
 
 #[tokio::main]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -20,13 +20,14 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     let mut holding = Holding::accept(token).await?;
-    let mut arm = Robot::new(DeviceChannel::join(&client, "/robot/arm").await?, holding.fence());
+    let mut arm = Commander::new(DeviceChannel::join(&client, "/robot/arm").await?, holding.fence());
     let work = async {
         for height in [350, 250, 300] {
             // Work, and report.
-            let words = match arm.carry_out(&format!("move 0 0 {height} 0 0")).await? {
-                CommandEnd::Done => format!("I am at {height} mm"),
-                CommandEnd::Refused(why) => format!("I cannot go to {height} mm: {why}"),
+            let end = arm.carry_out(format!("move 0 0 {height} 0 0")).await;
+            let words = match end.unreachable()? {
+                None => format!("I am at {height} mm"),
+                Some(why) => format!("I cannot go to {height} mm: {why}"),
             };
             chat.send("chat", words).await.doing("report")?;
         }
@@ -40,8 +41,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         WorkEnd::Interrupted => "I stop, as I was told to".to_owned(),
     };
     // Return the token, which goes back to the peer that gave it.
-    holding.release().await?;
+    let returned = holding.end(&mut arm).await;
     chat.message("chat").content(words).send_acknowledged().await?;
     client.close().await;
-    Ok(())
+    Ok(returned?)
 }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use mom_client::{Channel, Client, Event, Events, Family, Map, Parcel, Path, Value, WireError};
+use mom_client::{Channel, Client, ClientError, Event, Events, Family, Map, Parcel, Path, Value, WireError};
 use tokio::time::timeout;
 
 use crate::VerbFailure;
@@ -25,10 +25,16 @@ impl DeviceChannel {
     /// The hub's refusal, a lost connection.
     pub async fn join(client: &Client, path: &str) -> Result<DeviceChannel, VerbFailure> {
         let channel = client.channel(path).await.doing(format!("join {path}"))?;
-        Ok(DeviceChannel {
+        Ok(DeviceChannel::of(client, channel))
+    }
+
+    /// One that is joined.
+    #[must_use]
+    pub fn of(client: &Client, channel: Channel) -> DeviceChannel {
+        DeviceChannel {
             client: client.clone(),
             channel,
-        })
+        }
     }
 
     /// Where it is.
@@ -65,16 +71,29 @@ impl DeviceChannel {
     ///
     /// # Errors
     /// The hub's refusal, a lost connection; nobody is here to take it.
-    pub async fn send(&self, mut message: Parcel, what: &str) -> Result<u64, VerbFailure> {
+    pub async fn send(&self, message: Parcel, what: &str) -> Result<u64, VerbFailure> {
+        let id = self.request(message).await.doing(what)?;
+        id.ok_or_else(|| self.nobody())
+    }
+
+    /// Sends a message and gives its id by the hub's receipt; none if nobody is here to take it.
+    ///
+    /// # Errors
+    /// The client's.
+    pub async fn request(&self, mut message: Parcel) -> Result<Option<u64>, ClientError> {
         message.context = Some(self.path().clone());
         message.echo = Some(false);
         // The receipt refers to the id that the client has given.
         message.receipt = Some(true);
-        let receipt = self.client.request(message).await.doing(what)?;
+        let receipt = self.client.request(message).await?;
         let delivered = receipt.value().get("delivered").and_then(Value::as_int);
-        match receipt.reference.filter(|_| delivered != Some(0)) {
-            Some(id) => Ok(id),
-            None => Err(self.nobody()),
+        Ok(receipt.reference.filter(|_| delivered != Some(0)))
+    }
+
+    /// Asks the hub about the token, which says first all that it had to say before.
+    pub(crate) async fn ask_token(&self) {
+        if let Ok(token) = self.token() {
+            let _info = self.client.info(token.as_str()).await;
         }
     }
 

@@ -53,6 +53,15 @@ impl VerbFailure {
         }
     }
 
+    /// What to do, where something can be done.
+    #[must_use]
+    pub fn hint(&self) -> Option<&str> {
+        match self {
+            VerbFailure::Failed { hint, .. } => hint.as_deref(),
+            _ => None,
+        }
+    }
+
     /// This one, and in its words another that came after it.
     #[must_use]
     pub fn and(self, other: &VerbFailure) -> VerbFailure {

@@ -8,9 +8,10 @@ use mom_client::{Client, Lost, Token, TokenGuard};
 use tokio::time::{Instant, timeout};
 
 use crate::asking::ANSWER;
+use crate::end::{How, ended_words};
 use crate::failure::Doing as _;
 use crate::scope::{beyond_scope, scope_end_words};
-use crate::{Robot, VerbFailure};
+use crate::{Commander, VerbFailure};
 
 /// A token that we own, or have lost.
 #[derive(Debug)]
@@ -104,12 +105,29 @@ impl Holding {
         scope_end_words(self.guard.path().as_str(), lost, self.guard.delegation())
     }
 
+    /// That the token is lost, and what the device has said of what ran under it.
+    pub async fn loss(&self, lost: &Lost, commander: &mut Commander) -> VerbFailure {
+        let end = commander.lost(lost).await;
+        let (ended, hint) = match end.map(|end| end.how) {
+            Some(How::Lost { ended, .. }) => ended_words(ended),
+            _ => ("", None),
+        };
+        VerbFailure::Failed {
+            text: format!("{}{ended}", self.lost_words(lost)),
+            hint: hint.map(str::to_owned),
+        }
+    }
+
     /// Gives the token back, so that the hub halts the robot; a command of ours that runs is heard to have ended.
     ///
     /// # Errors
     /// The hub's refusal, a lost connection; a robot that did not end its command, and was stopped or is silent.
-    pub async fn end(self, robot: &mut Robot) -> Result<(), VerbFailure> {
-        robot.halt(self.release()).await
+    pub async fn end(mut self, commander: &mut Commander) -> Result<(), VerbFailure> {
+        if self.guard.is_lost() {
+            let lost = self.guard.lost().await;
+            commander.lost(&lost).await;
+        }
+        commander.end(self.release()).await
     }
 
     /// Gives the token back. Does nothing if it is lost.
@@ -120,11 +138,4 @@ impl Holding {
         let what = format!("release {}", self.guard.path());
         self.guard.release().await.doing(what)
     }
-}
-
-/// Why the work ended, in words.
-#[must_use]
-pub fn lost_words(token: &str, lost: &Lost) -> String {
-    let by = lost.by.as_ref().map(|by| format!(" by {by}")).unwrap_or_default();
-    format!("lost {token}: {}{by}", lost.reason)
 }

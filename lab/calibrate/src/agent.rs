@@ -20,7 +20,7 @@ use std::time::Duration;
 use mom_client::{
     Channel, Client, ClientError, Code, Event, LinkState, Map, Parcel, Token, Value, WireError,
 };
-use mom_drive::{DeviceChannel, Doing as _, Holding, Robot, VerbFailure};
+use mom_drive::{Commander, DeviceChannel, Doing as _, Holding, VerbFailure};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, timeout, timeout_at};
@@ -329,7 +329,7 @@ impl Agent {
                 self.say("progress", content, None).await;
             }
         };
-        let robot = Robot::new(robot, holding.fence());
+        let robot = Commander::new(robot, holding.fence());
         let interrupt = async { drop(wanted(cancelled).await) };
         let working = verb::under(&args, camera, robot, holding, interrupt, &mut tell);
         tokio::select! {

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use mom_client::{Client, Value};
 use mom_drive::{
-    CommandEnd, DeviceChannel, Doing as _, Holding, Pose, Robot, Tell, VerbFailure, WorkEnd, both,
+    Commander, DeviceChannel, Doing as _, Holding, Pose, RobotState, Tell, VerbFailure, WorkEnd, both,
 };
 use mom_pages::duration_within;
 use serde_json::json;
@@ -156,7 +156,7 @@ pub async fn run(
         let robot = DeviceChannel::join(client, &args.robot).await?;
         let wait = args.wait.map(Duration::from_secs);
         let holding = Holding::grab(client, &args.token, wait).await?;
-        Ok::<_, VerbFailure>((camera, Robot::new(robot, holding.fence()), holding))
+        Ok::<_, VerbFailure>((camera, Commander::new(robot, holding.fence()), holding))
     };
     let (camera, robot, holding) = tokio::select! {
         begun = begun => begun?,
@@ -169,7 +169,7 @@ pub async fn run(
 pub(crate) async fn under(
     args: &VerbArgs,
     camera: Camera,
-    robot: Robot,
+    robot: Commander,
     mut holding: Holding,
     interrupt: impl Future<Output = ()>,
     tell: Tell<'_>,
@@ -182,7 +182,10 @@ pub(crate) async fn under(
         told: Told::Nothing,
     };
     let ended = match holding.during(interrupt, job.carry_out()).await {
-        WorkEnd::Lost(lost) => return Err(lost_failure(args, &holding.lost_words(&lost), job.told)),
+        WorkEnd::Lost(lost) => {
+            let loss = holding.loss(&lost, &mut job.robot).await;
+            return Err(lost_failure(args, &loss, job.told));
+        }
         WorkEnd::Ended(ended) => Some(ended),
         WorkEnd::Interrupted => None,
     };
@@ -212,7 +215,7 @@ pub(crate) async fn under(
     }
 }
 
-fn lost_failure(args: &VerbArgs, why: &str, told: Told) -> VerbFailure {
+fn lost_failure(args: &VerbArgs, why: &VerbFailure, told: Told) -> VerbFailure {
     VerbFailure::new(
         format!("{why}; {}", told.words()),
         format!(
@@ -226,7 +229,7 @@ fn lost_failure(args: &VerbArgs, why: &str, told: Told) -> VerbFailure {
 struct Job<'a> {
     args: &'a VerbArgs,
     camera: Camera,
-    robot: Robot,
+    robot: Commander,
     tell: Tell<'a>,
     told: Told,
 }
@@ -272,7 +275,7 @@ impl Job<'_> {
                 }
             }
         }
-        if let CommandEnd::Refused(why) = self.robot.carry_out("home").await? {
+        if let Some(why) = self.robot.carry_out("home").await.unreachable()? {
             let text = format!("the robot does not go home: {why}; {}", self.told.words());
             return Err(VerbFailure::plain(text));
         }
@@ -294,10 +297,13 @@ impl Job<'_> {
 
     /// Goes to a pose and looks for the marker.
     async fn measure(&mut self, pose: &Pose) -> Result<PoseOutcome, VerbFailure> {
-        if let CommandEnd::Refused(why) = self.robot.carry_out(&pose.command()).await? {
+        if let Some(why) = self.robot.carry_out(pose.command()).await.unreachable()? {
             return Ok(PoseOutcome::Refused(why));
         }
-        let state = self.robot.rests_at(pose).await?;
+        let state = self
+            .robot
+            .state_when(|state: &RobotState| state.rests_at(pose))
+            .await?;
         let mut after = None;
         if !self.args.settle.is_zero() {
             // A real camera is late: a frame has the state of the time when it came, and may show the arm before that.

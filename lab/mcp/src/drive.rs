@@ -236,47 +236,40 @@ pub(crate) async fn run(assistant: &Assistant, script: &str, progress: &mut Prog
     };
     let before = assistant.newest();
     let mut runs = None;
-    let mut has_ended = false;
     let end = carry_out(assistant, &mut guard, (script, is_relative), progress, &mut runs).await;
-    let end = match end {
-        // The hub's word that the token is lost may be behind the robot's that it was halted.
-        End::Failed(status) => {
-            has_ended = true;
-            let _asked = assistant.token_info().await;
-            match guard.is_lost() {
-                true => End::Lost(guard.lost().await),
-                false => End::Failed(status),
-            }
-        }
-        end => end,
-    };
     let path = &assistant.places.token;
     let answer = match end {
         // Nobody watches any more: the lender has it back, and the hub halts the robot.
         End::Cancelled => {
-            let ended = hand_back(assistant, guard, runs).await;
-            return halted("cancelled", &format!("{path} is given back"), ended);
+            let ended = hand_back(guard, runs).await;
+            return halted(
+                "cancelled",
+                &format!("{path} is given back"),
+                &assistant.places.robot,
+                ended,
+            );
         }
         End::Over(why) => {
             assistant.lose(Lost {
                 reason: format!("{why}, so it was given back"),
                 by: None,
             });
-            let ended = hand_back(assistant, guard, runs).await;
+            let ended = hand_back(guard, runs).await;
             let answer = halted(
                 "over",
                 &format!("{why}, so the script was ended and {path} is given back; do not go on"),
+                &assistant.places.robot,
                 ended,
             );
             return with_rest(assistant, answer, before).await;
         }
         End::Lost(lost) => {
-            let has_ended = has_ended || has_heard_the_end(assistant, runs).await;
+            let has_ended = has_heard_the_end(&lost, runs).await;
             lost_to(assistant, lost, guard.delegation(), has_ended)
         }
-        End::Finished => Answer::good("finished", json!({"status": "finished"})),
-        End::Failed(status) => failed(&status),
-        End::Unknown(answer) => answer,
+        End::Ended(end) if end.is_finished() => Answer::good("finished", json!({"status": "finished"})),
+        End::Ended(end) => failed(&end),
+        End::Unsent(answer) => answer,
     };
     let last = !guard.is_lost() && assistant.put_after_command(guard).await;
     let answer = with_rest(assistant, answer, before).await;

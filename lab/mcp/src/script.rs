@@ -1,143 +1,96 @@
 //! A script under the token: sent, followed, and ended before its own end where it has to be.
 
-use std::future::pending;
-use std::time::Duration;
-
-use mom_client::{
-    BASED_ON, Card, Event, Events, Family, Lost, Parcel, TokenGuard, Value, WireError, from_value, visible,
+use mom_client::{Card, Lost, TokenGuard, visible};
+use mom_drive::{
+    Basis, Command, CommandEnd, Commander, Doing as _, Halt, How, Next, Progress as Step, Report, VerbFailure,
 };
-use mom_drive::{Doing as _, HALTED, Halt, VerbFailure, halt};
-use serde::Deserialize;
 use serde_json::json;
-use tokio::time::timeout;
 
 use crate::answer::Answer;
 use crate::assistant::Assistant;
 use crate::device::fastest;
 use crate::progress::Progress;
 
-/// So long the robot may take to stand under a new owner.
-const HANDS: Duration = Duration::from_secs(5);
-/// An arm that says nothing for so long while it works is not there; a statement may wait for a minute.
-const SILENT: Duration = Duration::from_secs(90);
 /// mm/s and degrees/s of a velocity under a token that came without a scope.
 const FASTEST: f64 = 100.0;
 
-/// How a command came to its end.
+/// How a script came to its end.
 pub(crate) enum End {
-    Finished,
-    Failed(Status),
+    Ended(CommandEnd),
     Lost(Lost),
     Cancelled,
     /// What it may do under the token is over; why.
     Over(String),
-    /// What became of it is not known.
-    Unknown(Answer),
+    /// It was not sent.
+    Unsent(Answer),
 }
 
-/// A report about a command.
-#[derive(Debug, Deserialize)]
-pub(crate) struct Status {
-    #[serde(default)]
-    id: Option<u64>,
-    peer: String,
-    state: String,
-    #[serde(default)]
-    pub(crate) statement: u32,
-    #[serde(default)]
-    pub(crate) of: u32,
-    #[serde(default)]
-    error: Option<Value>,
+/// The answer of a script that was not carried out.
+pub(crate) fn failed(end: &CommandEnd) -> Answer {
+    match &end.how {
+        How::Failed(report) => refused(report),
+        How::Refused(error) => Answer::refused("send the script", error),
+        _ => {
+            let answer = Answer::bad(end.name(), end.text.clone());
+            end.hint.iter().fold(answer, |answer, hint| answer.and(hint))
+        }
+    }
 }
 
-/// A script that was sent.
-pub(crate) struct Running {
-    events: Events,
-    /// None as long as its receipt has not come.
-    id: Option<u64>,
-}
-
-/// The error of a command.
-pub(crate) fn failed(status: &Status) -> Answer {
-    let error = status.error.clone().unwrap_or_default();
-    // It is the device's own text.
-    let error = error.as_map().map(WireError::from_map).map(|mut error| {
-        error.text = visible(&error.text).to_string();
-        error
-    });
-    let place = match status.statement {
+/// That of one which the robot has ended.
+fn refused(report: &Report) -> Answer {
+    let place = match report.statement {
         0 => String::new(),
-        number => format!(" at statement {number} of {}", status.of),
+        number => format!(" at statement {number} of {}", report.of),
     };
     let what = format!("the robot ended the script with an error{place}");
-    let answer = match error {
-        Some(error) => Answer::refused(&what, &error),
+    let answer = match &report.error {
+        Some(_) => {
+            let mut error = report.wire_error();
+            // It is the device's own text.
+            error.text = visible(&error.text);
+            Answer::refused(&what, &error)
+        }
         None => Answer::bad("failed", what),
     };
     answer
         .with("status", json!("error"))
-        .with("statement", json!(status.statement))
-        .with("of", json!(status.of))
+        .with("statement", json!(report.statement))
+        .with("of", json!(report.of))
 }
 
-/// Sends a script and waits for its end.
+/// Sends a script and waits for its end; `runs` has its commander, once it was sent.
 pub(crate) async fn carry_out(
     assistant: &Assistant,
     guard: &mut TokenGuard,
     (script, is_relative): (&str, bool),
     progress: &mut Progress,
-    runs: &mut Option<Running>,
+    runs: &mut Option<Commander>,
 ) -> End {
     let fence = guard.fence();
-    // A command that comes while the robot still halts for the last owner is refused.
-    let stands = assistant.robot_state_when(HANDS, |state| state.is_under(fence));
-    tokio::select! {
-        biased;
-        lost = guard.lost() => return End::Lost(lost),
-        why = assistant.over(fence) => return End::Over(why),
-        () = progress.cancelled() => return End::Cancelled,
-        _stands = stands => {}
-    }
-    let events = assistant.robot.events();
-    let mut parcel = Parcel::new(Family::Message, "command").content(script);
-    parcel.fence = Some(fence);
-    if is_relative {
-        let Some(told) = assistant.told().and_then(|id| i64::try_from(id).ok()) else {
+    let basis = match (is_relative, assistant.told()) {
+        (false, _) => Basis::Nothing,
+        (true, Some(told)) => Basis::State(told),
+        (true, None) => {
             let text = "the script is relative to where the robot is: call `where` first, so that you know";
-            return End::Unknown(Answer::bad("stale-state", text));
-        };
-        parcel.extra.set(BASED_ON, told);
-    }
-    // From here on it may run, whether or not its receipt comes.
-    let running = runs.insert(Running { events, id: None });
-    running.id = match assistant.robot.send(parcel, "send the script").await {
-        Ok(id) => Some(id),
-        Err(failure) if guard.is_lost() => {
-            tracing::debug!("{failure}");
-            return End::Lost(guard.lost().await);
+            return End::Unsent(Answer::bad("stale-state", text));
         }
-        Err(failure) => return End::Unknown(Answer::from(&failure)),
     };
+    let commander = runs.insert(Commander::new(assistant.robot.clone(), fence));
+    commander.begin(Command::from(script).based_on(basis));
     loop {
         tokio::select! {
             biased;
             lost = guard.lost() => return End::Lost(lost),
             why = assistant.over(fence) => return End::Over(why),
             () = progress.cancelled() => return End::Cancelled,
-            next = timeout(SILENT, running.status(assistant)) => match next {
-                Ok(Ok(status)) => match status.state.as_str() {
-                    "finished" => return End::Finished,
-                    "error" => return End::Failed(status),
-                    state => {
-                        let words = format!("{state} statement {} of {}", status.statement, status.of);
-                        progress.tell(status.statement.into(), Some(status.of.into()), words).await;
-                    }
-                },
-                Ok(Err(answer)) => return End::Unknown(answer),
-                Err(_) => {
-                    let text = format!("the robot has said nothing for {} s; what became of the script is not known", SILENT.as_secs());
-                    return End::Unknown(Answer::bad("silent", text));
+            next = commander.next() => match next {
+                Next::End(end) => return End::Ended(end),
+                Next::Progress(Step::Device { state, statement, of }) => {
+                    let words = format!("{} statement {statement} of {of}", visible(&state));
+                    progress.tell(statement.into(), Some(of.into()), words).await;
                 }
+                Next::Progress(Step::Again { text, .. }) => progress.tell(0.0, None, format!("not yet: {text}")).await,
             },
         }
     }
@@ -157,12 +110,12 @@ pub(crate) fn too_fast(card: Option<&Card>, script: &str) -> Option<Answer> {
 type HandedBack = (bool, Result<(), VerbFailure>, Halt);
 
 /// Gives the token back, so that the hub halts the robot, and hears that the script has ended.
-pub(crate) async fn hand_back(assistant: &Assistant, guard: TokenGuard, runs: Option<Running>) -> HandedBack {
+pub(crate) async fn hand_back(guard: TokenGuard, runs: Option<Commander>) -> HandedBack {
     let what = format!("give {} back", guard.path());
     let release = async { guard.release().await.doing(what) };
     match runs {
-        Some(mut running) => {
-            let (released, halt) = halt(&assistant.robot, release, running.ended(assistant)).await;
+        Some(mut commander) => {
+            let (released, halt) = commander.halt(release).await;
             (true, released, halt)
         }
         None => (false, release.await, Halt::Confirmed),
@@ -170,15 +123,22 @@ pub(crate) async fn hand_back(assistant: &Assistant, guard: TokenGuard, runs: Op
 }
 
 /// Whether the robot says soon that the script has ended whose token is lost; also where none was sent.
-pub(crate) async fn has_heard_the_end(assistant: &Assistant, runs: Option<Running>) -> bool {
-    match runs {
-        Some(mut running) => timeout(HALTED, running.ended(assistant)).await.is_ok(),
-        None => true,
-    }
+pub(crate) async fn has_heard_the_end(lost: &Lost, runs: Option<Commander>) -> bool {
+    let Some(mut commander) = runs else { return true };
+    let end = commander.lost(lost).await;
+    !end.is_some_and(|end| {
+        matches!(
+            end.how,
+            How::Lost {
+                ended: Some(false),
+                ..
+            } | How::Disconnected
+        )
+    })
 }
 
 /// The answer where a script was ended before its own end.
-pub(crate) fn halted(code: &str, why: &str, (sent, released, halt): HandedBack) -> Answer {
+pub(crate) fn halted(code: &str, why: &str, place: &str, (sent, released, halt): HandedBack) -> Answer {
     let mut answer = Answer::bad(code, why);
     if let Err(failure) = &released {
         answer = answer.and(&format!("{failure}; it halts the robot when it notices that"));
@@ -188,56 +148,11 @@ pub(crate) fn halted(code: &str, why: &str, (sent, released, halt): HandedBack) 
             .and("nothing was sent to the robot")
             .with("ended", json!(true));
     }
-    match halt.verdict("the robot") {
+    match halt.verdict(place) {
         Ok(()) => answer.and("the robot has ended it").with("ended", json!(true)),
         Err(failure) => answer
             .and(&format!("{failure}: tell a person at once"))
             .with("ended", json!(halt == Halt::Stopped)),
-    }
-}
-
-impl Running {
-    /// The next report about our command.
-    async fn status(&mut self, assistant: &Assistant) -> Result<Status, Answer> {
-        let unknown = |code: &str, why: &str| {
-            Answer::bad(
-                code,
-                format!("{why}; what became of the script is not known, so look"),
-            )
-        };
-        loop {
-            match self.events.next().await {
-                Some(Event::Message(parcel)) if parcel.name() == "status" && !parcel.is_history() => {
-                    if let Ok(status) = from_value::<Status>(parcel.value())
-                        && (self.id.is_none() || status.id == self.id)
-                        && status.peer == assistant.client.name()
-                    {
-                        return Ok(status);
-                    }
-                }
-                Some(Event::LinkDown) | None => {
-                    return Err(unknown(
-                        "disconnected",
-                        "the connection to the hub was lost, and the hub halts the robot",
-                    ));
-                }
-                Some(Event::Lagged(_)) => {
-                    return Err(unknown("lagged", "events of the robot were lost here"));
-                }
-                Some(_) => {}
-            }
-        }
-    }
-
-    /// Waits until the robot has said that it is over.
-    async fn ended(&mut self, assistant: &Assistant) {
-        loop {
-            match self.status(assistant).await {
-                Ok(status) if matches!(status.state.as_str(), "finished" | "error") => return,
-                Ok(_) => {}
-                Err(_) => return pending().await,
-            }
-        }
     }
 }
 

@@ -8,8 +8,7 @@ use mom_client::{
     Client, ClientError, Event, Events, Family, Given, Lost, Map, Parcel, TokenGuard, from_value,
 };
 use mom_drive::{
-    DeviceChannel, Doing as _, HALTED, Holding, REPEATED, TIMES, Tell, VerbFailure, both, closed, insist,
-    lost_words,
+    DeviceChannel, Doing as _, Holding, REPEATED, TIMES, Tell, VerbFailure, both, closed, insist, lost_words,
 };
 use mom_pages::duration_within;
 use serde_json::json;
@@ -73,7 +72,7 @@ const CANCELLED: Duration = Duration::from_secs(5);
 /// How long the hub may take to tell the robot to stop.
 const STOPPED: Duration = Duration::from_secs(2);
 /// How long after the token's return its last word may take: the robot has that time to say that it stands.
-const LAST: Duration = HALTED
+const LAST: Duration = mom_drive::HALTED
     .saturating_add(REPEATED.saturating_mul(TIMES))
     .saturating_add(Duration::from_secs(1));
 

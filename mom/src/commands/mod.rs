@@ -44,7 +44,7 @@ use crate::failure::Failure;
 use crate::output::Output;
 use crate::top;
 
-pub(crate) use self::run::{drive, error_words};
+pub(crate) use self::run::drive;
 
 /// Runs a command.
 pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {

@@ -9,10 +9,11 @@ use serde_json::json;
 use tokio::time::{Instant, timeout_at};
 
 use crate::cli::{self, GlobalArgs};
-use crate::commands::run::{drive, error_words};
+use crate::commands::run::drive;
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::output::Output;
+use mom_drive::error_words;
 use mom_pages::Interrupt;
 
 /// How long the clocks may take to be compared; without that only the hub's own steps have a time.

@@ -128,7 +128,9 @@ async fn the_one_in_rust_works_and_returns() {
 #[tokio::test(flavor = "multi_thread")]
 async fn the_one_in_rust_is_interrupted() {
     let (_lab, agent, mut alice) = is_interrupted(rust, "at 350 mm").await;
-    alice.hears("I stop: lost /robot/token: preempted by carol").await;
+    alice
+        .hears("I stop: lost /robot/token: carol has a higher level and took it")
+        .await;
     assert!(agent.wait().success());
 }
 

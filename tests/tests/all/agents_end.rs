@@ -5,7 +5,7 @@ use std::future::pending;
 use std::time::Duration;
 
 use mom_client::{Channel, Client, Event, Events, Given, Map, Parcel, TokenGuard, Value};
-use mom_drive::{DeviceChannel, Holding, Robot, WorkEnd};
+use mom_drive::{Commander, DeviceChannel, Holding, WorkEnd};
 use mom_tests::assistant::{Assistant, text};
 use mom_tests::programs::{PATIENCE, Running, project};
 use serde_json::json;
@@ -119,9 +119,10 @@ async fn a_device_that_does_not_end_a_command_is_halted_then_stopped_three_times
     let (alice, assistant) = (join(&hub, "alice").await, join(&hub, "assistant").await);
     let (mut holding, _given) = lent(&alice, &assistant).await;
     let channel = DeviceChannel::join(&assistant, ROBOT).await.expect("it may");
-    let mut robot = Robot::new(channel, holding.fence());
+    let mut robot = Commander::new(channel, holding.fence());
     let begins = async { hears(&mut heard, "command").await };
-    let ended = holding.during(begins, robot.carry_out("move 0 0 300 0 0")).await;
+    let work = async { Ok(robot.carry_out("move 0 0 300 0 0").await) };
+    let ended = holding.during(begins, work).await;
     assert!(matches!(ended, WorkEnd::Interrupted), "{ended:?}");
     let failure = holding.end(&mut robot).await.expect_err("it does not answer");
     assert!(

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use mom_arm::{ArmState, Block, Mount, Pose, Zones};
 use mom_client::{Client, Event, Events, Family, Map, Parcel, Path, Time, TokenGuard, Value, from_value};
-use mom_drive::{CommandEnd, DeviceChannel, Robot, VerbFailure, lost_words};
+use mom_drive::{Commander, DeviceChannel, How, VerbFailure, lost_words};
 use mom_tests::programs::{PATIENCE, Running, project};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::timeout;
@@ -202,14 +202,15 @@ async fn drive(client: &Client, arm: usize, guard: &mut TokenGuard, script: &str
         Ok(channel) => channel,
         Err(failure) => return failure.into(),
     };
-    let mut robot = Robot::new(channel, guard.fence());
+    let mut robot = Commander::new(channel, guard.fence());
     tokio::select! {
         lost = guard.lost() => lost_words(&ARMS[arm].token(), &lost).into(),
         end = robot.carry_out(script) => match end {
-            Ok(CommandEnd::Done) => Outcome::Done,
-            Ok(CommandEnd::Refused(why)) => why.into(),
-            Err(VerbFailure::Refused { error, .. }) => error.text.into(),
-            Err(failure) => failure.into(),
+            end if end.is_finished() => Outcome::Done,
+            end => match end.how {
+                How::Failed(report) => report.wire_error().text.into(),
+                _ => end.text.into(),
+            },
         },
     }
 }

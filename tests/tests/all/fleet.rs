@@ -6,7 +6,7 @@ use std::process::Output;
 use std::time::Instant;
 
 use mom_client::{Client, Code, Event, Events, TokenGuard, Value};
-use mom_drive::{CommandEnd, DeviceChannel, Robot, VerbFailure};
+use mom_drive::{CommandEnd, Commander, DeviceChannel, How};
 use mom_tests::programs::{PATIENCE, Running, project, run, text};
 use serde_json::Value as Json;
 use tokio::time::timeout;
@@ -59,14 +59,14 @@ async fn arrive(hub: &str, name: &str) -> Client {
 }
 
 /// A robot under its token.
-async fn drive(client: &Client, unit: u32, token: &str) -> (Robot, TokenGuard) {
+async fn drive(client: &Client, unit: u32, token: &str) -> (Commander, TokenGuard) {
     let held = client.token(token).await.expect("they may look");
     let guard = held.grab().await.expect("it is free");
     let channel = format!("/fleet/{unit}/robot");
     let channel = DeviceChannel::join(client, &channel)
         .await
         .expect("they may look");
-    (Robot::new(channel, guard.fence()), guard)
+    (Commander::new(channel, guard.fence()), guard)
 }
 
 /// What of a robot the fleet's channel tells next that is as wanted.
@@ -88,9 +88,9 @@ fn moves(content: &Value) -> bool {
     content.get("moving").and_then(Value::as_bool) == Some(true)
 }
 
-fn code_of(end: Result<CommandEnd, VerbFailure>) -> Code {
-    match end {
-        Err(VerbFailure::Refused { error, .. }) => error.code,
+fn code_of(end: CommandEnd) -> Code {
+    match end.how {
+        How::Failed(report) => report.wire_error().code,
         other => panic!("not refused: {other:?}"),
     }
 }
@@ -174,7 +174,10 @@ fn what_is_wrong_is_told_before_anything_moves() {
     );
     good(&hub, "alice", &["stop", "/fleet"]);
     let said = bad(&hub, "alice", &["fleet", "send", "2", "leds 1"]);
-    assert!(said.contains("the robot in /fleet/2/robot is stopped"), "{said}");
+    assert!(
+        said.contains("-> let it go with: mom unstop /fleet/2/robot"),
+        "{said}"
+    );
     good(&hub, "alice", &["unstop", "/fleet"]);
     good(&hub, "alice", &["fleet", "send", "2", "leds 1"]);
 }
@@ -212,10 +215,7 @@ async fn a_robot_whose_owner_is_lost_stands_and_obeys_the_next_one_only() {
         .fence(fence);
     let refused = late.send_acknowledged().await.expect_err("it is not hers");
     assert_eq!(refused.code(), Some(&Code::OLDER_FENCE));
-    assert_eq!(
-        hers.carry_out("leds 3").await.expect("it is hers"),
-        CommandEnd::Done
-    );
+    assert!(hers.carry_out("leds 3").await.is_finished());
     // So does the end of a connection.
     let (mut robot, _token) = drive(&alice, 2, "/fleet/2/token").await;
     let gone = tokio::spawn(async move { robot.carry_out("motor -100 100 60000").await });

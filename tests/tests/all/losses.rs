@@ -260,7 +260,8 @@ async fn who_loses_the_robot_hears_who_took_it() {
         let output = output.expect("it ends in time").expect("it ends");
         let said = text(&output.stdout) + &text(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "{said}");
-        let words = "lost /robot/token: carol has a higher level and took it; the hub halts the robot";
+        let words =
+            "lost /robot/token: carol has a higher level and took it; the device has ended the command";
         assert!(said.contains(words), "{said}");
         guard.release().await.expect("hers");
     }

@@ -299,7 +299,10 @@ async fn it_is_interrupted() {
     let token = carol.token(TOKEN).await.expect("she may look");
     let hers = token.grab().await.expect("she is an operator");
     let words = assistant.failure(moving, "lost");
-    assert!(words.contains("lost /robot/token: preempted by carol"), "{words}");
+    assert!(
+        words.contains("lost /robot/token: carol has a higher level and took it"),
+        "{words}"
+    );
     assert!(given.returned().await.is_err(), "it is carol's");
     let words = assistant.bad("move", &json!({"script": "home"}), "not-owner");
     assert!(words.contains("carol holds it now"), "{words}");

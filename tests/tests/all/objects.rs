@@ -382,7 +382,10 @@ async fn a_plan_that_is_broken_off_says_where_the_block_is() {
         .expect("it runs");
     let words = text(&ended.stderr);
     assert_eq!(ended.status.code(), Some(1));
-    assert!(words.contains("lost /robot/token: preempted by carol"), "{words}");
+    assert!(
+        words.contains("lost /robot/token: carol has a higher level and took it"),
+        "{words}"
+    );
     let last = words.lines().last().unwrap_or_default();
     // How far it was carried by then is a matter of the machine's speed.
     assert!(last.contains("red is in the jaws, at "), "{words}");

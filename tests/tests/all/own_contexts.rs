@@ -5,7 +5,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use mom_client::{Client, Event, Events, Map, Value};
-use mom_drive::{CommandEnd, DeviceChannel, Robot};
+use mom_drive::{CommandEnd, Commander, DeviceChannel};
 use mom_tests::programs::{PATIENCE, Running, program, project, run, text};
 use tokio::time::timeout;
 
@@ -70,8 +70,8 @@ async fn drive(client: &Client) -> CommandEnd {
         .expect("it is there");
     let token = client.token("/robot/token").await.expect("it is there");
     let guard = token.grab().await.expect("it is free");
-    let mut robot = Robot::new(channel, guard.fence());
-    let ended = robot.carry_out("wait 10").await.expect("it answers");
+    let mut robot = Commander::new(channel, guard.fence());
+    let ended = robot.carry_out("wait 10").await;
     guard.release().await.expect("it is held");
     ended
 }
@@ -100,7 +100,7 @@ async fn arm_and_cameras_make_their_contexts_where_they_may() {
     let token = alice.info("/robot/token").await.expect("it is made");
     assert_eq!(token.get("manager"), Some(&Value::from("robot-token")));
     // The channel is guarded: without the token nothing moves.
-    assert_eq!(drive(&alice).await, CommandEnd::Done);
+    assert!(drive(&alice).await.is_finished());
 
     for view in ["x", "pan"] {
         let _camera = start("mom-camera", &hub, &["--view", view]);
@@ -160,7 +160,7 @@ async fn an_arm_and_a_camera_that_may_not_say_what_is_missing_and_who_can_make_i
 async fn a_lab_whose_arm_is_put_out_goes_on_and_the_arm_comes_back() {
     let (_lab, hub) = Running::lab();
     let carol = arrive(&hub, "carol").await;
-    assert_eq!(drive(&carol).await, CommandEnd::Done);
+    assert!(drive(&carol).await.is_finished());
     let members = carol.members("/robot/arm").await.expect("she may look");
     let arm = members
         .into_iter()
@@ -171,7 +171,7 @@ async fn a_lab_whose_arm_is_put_out_goes_on_and_the_arm_comes_back() {
         .await;
     expelled.expect("operators may");
     until_it_obeys(&carol).await;
-    assert_eq!(drive(&carol).await, CommandEnd::Done);
+    assert!(drive(&carol).await.is_finished());
 }
 
 /// Three seconds without a camera, or an arm that was put out of the hub, are no reason to end everybody's hub.

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use mom_client::{Client, Code, Event, Events, Time, TokenGuard, Value};
-use mom_drive::{CommandEnd, DeviceChannel, Robot};
+use mom_drive::{Commander, DeviceChannel};
 use mom_tests::programs::{PATIENCE, Running, project, run, text};
 use tokio::task::spawn_blocking;
 use tokio::time::{sleep, timeout};
@@ -40,7 +40,7 @@ async fn arrive(hub: &str, name: &str) -> Client {
 }
 
 /// A robot that is there, its events, and its token.
-async fn drive(client: &Client, name: &str) -> (Robot, Events, TokenGuard) {
+async fn drive(client: &Client, name: &str) -> (Commander, Events, TokenGuard) {
     let channel = DeviceChannel::join(client, &format!("/rover/{name}/robot"))
         .await
         .expect("they may look");
@@ -48,7 +48,7 @@ async fn drive(client: &Client, name: &str) -> (Robot, Events, TokenGuard) {
     told(&mut events, |content| content.get("x").is_some()).await;
     let token = client.token(&format!("/rover/{name}/token")).await;
     let guard = token.expect("they may look").grab().await.expect("it is free");
-    (Robot::new(channel, guard.fence()), events, guard)
+    (Commander::new(channel, guard.fence()), events, guard)
 }
 
 /// The next message of this name that is as wanted.
@@ -110,7 +110,7 @@ async fn a_follower_arrives_behind_a_leader_that_drives_a_square() {
     let rule = refusal.get("rule").and_then(Value::as_str);
     assert_eq!(rule, Some("convoy/only robots speak in the convoy"));
     let square = "via 3000 1000 3000 2000 2000 2000 2000 1200";
-    assert_eq!(leader.carry_out(square).await.expect("it can"), CommandEnd::Done);
+    assert!(leader.carry_out(square).await.is_finished());
     // Its states since it began are still to be heard: it went round, and not across.
     let corner = |content: &Value| int(content, "x") > 2800 && int(content, "y") > 1800;
     told(&mut follows, corner).await;

@@ -5,7 +5,7 @@ use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
 use mom_client::Client;
-use mom_drive::{CommandEnd, Robot};
+use mom_drive::Commander;
 use mom_tests::datagrams::Weather;
 use mom_tests::programs::{PATIENCE, run, text};
 use serde_json::Value;
@@ -72,13 +72,13 @@ fn is_driving(body: &Value) -> bool {
 async fn drive(alice: &Client, script: &'static str) -> JoinHandle<String> {
     let (channel, _) = linked(alice).await;
     let guard = grab(alice).await;
-    let mut robot = Robot::new(channel, guard.fence());
+    let mut robot = Commander::new(channel, guard.fence());
     tokio::spawn(async move {
         let end = robot.carry_out(script).await;
         let _ = guard.release().await;
-        match end {
-            Ok(CommandEnd::Done) => "done".to_owned(),
-            other => format!("{other:?}"),
+        match end.is_finished() {
+            true => "done".to_owned(),
+            false => format!("{end:?}"),
         }
     })
 }

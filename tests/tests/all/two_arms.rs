@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use mom_client::{Client, Code, Event, TokenGuard};
-use mom_drive::{CommandEnd, DeviceChannel, Robot, VerbFailure};
+use mom_drive::{CommandEnd, Commander, DeviceChannel, How};
 use mom_tests::programs::{PATIENCE, Running, project};
 use tokio::time::{Instant, timeout};
 
@@ -18,17 +18,17 @@ async fn grab(client: &Client, token: &str) -> Result<TokenGuard, mom_client::Cl
 }
 
 /// A robot under its token.
-async fn drive(client: &Client, robot: &str) -> (Robot, TokenGuard) {
+async fn drive(client: &Client, robot: &str) -> (Commander, TokenGuard) {
     let guard = grab(client, &format!("{robot}/token")).await.expect("it is free");
     let channel = DeviceChannel::join(client, &format!("{robot}/arm"))
         .await
         .expect("they may look");
-    (Robot::new(channel, guard.fence()), guard)
+    (Commander::new(channel, guard.fence()), guard)
 }
 
-fn refused(end: Result<CommandEnd, VerbFailure>) -> String {
-    match end {
-        Err(VerbFailure::Refused { error, .. }) => error.text,
+fn refused(end: CommandEnd) -> String {
+    match end.how {
+        How::Failed(report) => report.wire_error().text,
         other => panic!("not refused: {other:?}"),
     }
 }
@@ -40,11 +40,8 @@ async fn a_zone_is_open_at_once_to_who_grabbed_it_and_closed_at_once_to_who_lost
     let (mut robot, _token) = drive(&alice, "/robot").await;
     for _ in 0..20 {
         let left = grab(&alice, "/zone/left").await.expect("it is free");
-        let end = robot
-            .carry_out("move 0 0 290 0 0; home")
-            .await
-            .expect("the zone is hers");
-        assert_eq!(end, CommandEnd::Done);
+        let end = robot.carry_out("move 0 0 290 0 0; home").await;
+        assert!(end.is_finished(), "{end:?}");
         left.release().await.expect("it is hers");
         let why = refused(robot.carry_out("move 0 0 290 0 0").await);
         assert!(why.contains("/zone/left, which alice does not own"), "{why}");
@@ -58,10 +55,7 @@ async fn what_moves_in_a_zone_that_is_lost_stops_there_and_keeps_others_out() {
     let (mut robot, _token) = drive(&alice, "/robot").await;
     let left = grab(&alice, "/zone/left").await.expect("it is free");
     let middle = grab(&alice, "/zone/middle").await.expect("it is free");
-    robot
-        .carry_out("move 240 0 300 0 0")
-        .await
-        .expect("both are hers");
+    robot.carry_out("move 240 0 300 0 0").await;
     // It is lost while the robot moves in it.
     let moving = tokio::spawn(async move {
         let end = robot
@@ -85,16 +79,13 @@ async fn what_moves_in_a_zone_that_is_lost_stops_there_and_keeps_others_out() {
     let middle = grab(&alice, "/zone/middle")
         .await
         .expect("she drives the arm that is in the way");
-    robot.carry_out("home").await.expect("out of the way");
+    robot.carry_out("home").await;
     middle.release().await.expect("it is hers");
     let (mut second, _other) = drive(&bob, "/robot-2").await;
     let _right = grab(&bob, "/zone/right").await.expect("nobody is there");
     let _middle = grab(&bob, "/zone/middle").await.expect("nobody is there");
-    let end = second
-        .carry_out("move 240 0 100 0 0")
-        .await
-        .expect("both are his");
-    assert_eq!(end, CommandEnd::Done);
+    let end = second.carry_out("move 240 0 100 0 0").await;
+    assert!(end.is_finished(), "{end:?}");
     let why = refused(robot.carry_out("move 240 0 300 0 0").await);
     assert!(why.contains("/zone/middle, which bob owns, not alice"), "{why}");
     left.release().await.expect("it is hers");

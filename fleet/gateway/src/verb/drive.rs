@@ -1,14 +1,16 @@
 //! `mom fleet send` and `mom fleet run`: robots side by side, each under its token.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::future::{Future, poll_fn};
+use std::future::{Future, poll_fn, ready};
 use std::pin::pin;
 use std::task::Poll;
 
-use mom_client::{Client, Map, TokenGuard};
-use mom_drive::{CommandEnd, DeviceChannel, Doing as _, Robot, Tell, VerbFailure, lost_words};
+use mom_client::{Client, Lost, Map, TokenGuard};
+use mom_drive::{
+    Command, Commander, DeviceChannel, Doing as _, Halt, How, Tell, VerbFailure, both, lost_words,
+};
 use serde_json::json;
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
 
 use super::channel;
@@ -29,6 +31,15 @@ struct Outcome {
     error: Option<VerbFailure>,
 }
 
+/// Robots that are at work, each in a task of its own.
+struct Team {
+    working: JoinSet<(u32, Commander)>,
+    /// Whether they are to leave what they do as it is.
+    over: watch::Sender<bool>,
+    /// Those that wait for the next step.
+    robots: BTreeMap<u32, Commander>,
+}
+
 impl Drivers<'_> {
     /// Grabs the tokens, has all steps carried out one after the other, and gives the tokens back.
     pub(super) async fn run(
@@ -44,20 +55,26 @@ impl Drivers<'_> {
             channels.insert(unit, joined);
         }
         let mut held = Held::grab(self.client, &channels).await?;
-        let robots = held.robots(channels);
+        let mut team = Team {
+            working: JoinSet::new(),
+            over: watch::Sender::new(false),
+            robots: held.robots(channels),
+        };
         let mut failed = 0;
+        let mut lost = None;
         let ended = tokio::select! {
             biased;
-            lost = held.lost() => Err(VerbFailure::plain(lost)),
-            () = interrupt => {
-                let text = "interrupted; the tokens are released, and the hub halts the robots";
-                Err(VerbFailure::plain(text))
+            (token, how) = held.lost() => {
+                let words = lost_words(&token, &how);
+                lost = Some((token, how));
+                Err(VerbFailure::plain(words))
             }
-            worked = self.steps(work, robots, &mut failed, tell) => worked,
+            () = interrupt => Err(VerbFailure::plain("interrupted; the tokens are released")),
+            worked = self.steps(work, &mut team, &mut failed, tell) => worked,
         };
-        let released = held.release().await;
-        ended?;
-        released?;
+        let robots = team.leave().await;
+        let released = held.end(robots, lost).await;
+        both(ended, released)?;
         match failed {
             0 => Ok(()),
             1 => Err(VerbFailure::plain("1 command failed")),
@@ -68,57 +85,48 @@ impl Drivers<'_> {
     async fn steps(
         &self,
         work: &Work,
-        mut robots: BTreeMap<u32, Robot>,
+        team: &mut Team,
         failed: &mut usize,
         tell: Tell<'_>,
     ) -> Result<(), VerbFailure> {
         for step in work {
             let (outcomes, mut told) = mpsc::channel(64);
-            let mut working = JoinSet::new();
             for (unit, scripts) in step {
-                let Some(mut robot) = robots.remove(unit) else {
+                let Some(robot) = team.robots.remove(unit) else {
                     continue;
                 };
-                let (unit, scripts, outcomes) = (*unit, scripts.clone(), outcomes.clone());
-                let attachments = self.attachments.clone();
-                working.spawn(async move {
-                    for script in scripts {
-                        let error = match robot.carry_out_with(&script, &attachments).await {
-                            Ok(CommandEnd::Done) => None,
-                            Ok(CommandEnd::Refused(why)) => Some(VerbFailure::plain(why)),
-                            Err(error) => Some(error),
-                        };
-                        let over = error.is_some();
-                        let outcome = Outcome { unit, script, error };
-                        if outcomes.send(outcome).await.is_err() || over {
-                            break;
-                        }
-                    }
-                    (unit, robot)
-                });
+                let over = team.over.subscribe();
+                let (scripts, attachments) = (scripts.clone(), self.attachments.clone());
+                team.working.spawn(work_of(
+                    *unit,
+                    robot,
+                    scripts,
+                    attachments,
+                    outcomes.clone(),
+                    over,
+                ));
             }
             drop(outcomes);
             while let Some(Outcome { unit, script, error }) = told.recv().await {
                 *failed += usize::from(error.is_some());
-                let text = error.map(|error| match error {
-                    // Which command it was is told beside it.
-                    VerbFailure::Refused { error, .. } => error.to_string(),
-                    other => other.to_string(),
-                });
-                let state = if text.is_some() { "error" } else { "finished" };
-                let line = match &text {
+                let state = if error.is_some() { "error" } else { "finished" };
+                let line = match &error {
                     None => format!("{unit:>5}  finished  {script}"),
-                    Some(text) => format!("{unit:>5}  error     {script}: {text}"),
+                    Some(error) => {
+                        let hint = error.hint().map(|hint| format!("\n         -> {hint}"));
+                        format!(
+                            "{unit:>5}  error     {script}: {error}{}",
+                            hint.unwrap_or_default()
+                        )
+                    }
                 };
+                let text = error.map(|error| error.to_string());
                 tell(
                     json!({"unit": unit, "state": state, "script": script, "error": text}),
                     line,
                 )?;
             }
-            while let Some(worked) = working.join_next().await {
-                let (unit, robot) = worked.map_err(|error| VerbFailure::plain(error.to_string()))?;
-                robots.insert(unit, robot);
-            }
+            team.gather().await;
             // What comes after a barrier was meant for robots that have come there.
             if *failed > 0 {
                 break;
@@ -126,6 +134,55 @@ impl Drivers<'_> {
         }
         Ok(())
     }
+}
+
+impl Team {
+    /// Waits until all have done their work.
+    async fn gather(&mut self) {
+        // One that panicked is not heard of any more, and the hub halts it when its token is given back.
+        while let Some(worked) = self.working.join_next().await {
+            self.robots.extend(worked);
+        }
+    }
+
+    /// Has them leave what they do as it is.
+    async fn leave(mut self) -> BTreeMap<u32, Commander> {
+        self.over.send_replace(true);
+        self.gather().await;
+        self.robots
+    }
+}
+
+/// Has a robot carry out scripts up to the first that fails, or until it is to leave.
+async fn work_of(
+    unit: u32,
+    mut robot: Commander,
+    scripts: Vec<String>,
+    attachments: Map,
+    outcomes: mpsc::Sender<Outcome>,
+    mut over: watch::Receiver<bool>,
+) -> (u32, Commander) {
+    for script in scripts {
+        let command = Command::from(&*script).attachments(attachments.clone());
+        let end = tokio::select! {
+            _over = over.wait_for(|over| *over) => break,
+            end = robot.carry_out(command) => end,
+        };
+        let error = match end.how {
+            // Which command it was is told beside it.
+            How::Failed(report) => Some(VerbFailure::Failed {
+                text: report.wire_error().to_string(),
+                hint: end.hint,
+            }),
+            _ => end.done().err(),
+        };
+        let failed = error.is_some();
+        let outcome = Outcome { unit, script, error };
+        if outcomes.send(outcome).await.is_err() || failed {
+            break;
+        }
+    }
+    (unit, robot)
 }
 
 /// The tokens of robots, or the one of all.
@@ -169,30 +226,62 @@ impl Held {
     }
 
     /// The robots under the tokens that are held.
-    fn robots(&self, channels: BTreeMap<u32, DeviceChannel>) -> BTreeMap<u32, Robot> {
+    fn robots(&self, channels: BTreeMap<u32, DeviceChannel>) -> BTreeMap<u32, Commander> {
         let fence = |unit: &u32| self.guards.get(self.of.get(unit)?).map(TokenGuard::fence);
         channels
             .into_iter()
-            .filter_map(|(unit, channel)| Some((unit, Robot::new(channel, fence(&unit)?))))
+            .filter_map(|(unit, channel)| Some((unit, Commander::new(channel, fence(&unit)?))))
             .collect()
     }
 
     /// Waits until one of them is lost, and says how.
-    async fn lost(&mut self) -> String {
+    async fn lost(&mut self) -> (String, Lost) {
         let mut losses: Vec<_> = self
             .guards
             .iter_mut()
-            .map(|(path, guard)| Box::pin(async move { lost_words(path, &guard.lost().await) }))
+            .map(|(path, guard)| Box::pin(async move { (path.clone(), guard.lost().await) }))
             .collect();
         poll_fn(|task| {
             for loss in &mut losses {
-                if let Poll::Ready(words) = pin!(loss).poll(task) {
-                    return Poll::Ready(words);
+                if let Poll::Ready(lost) = pin!(loss).poll(task) {
+                    return Poll::Ready(lost);
                 }
             }
             Poll::Pending
         })
         .await
+    }
+
+    /// Gives them back, and hears that all robots have ended what they did.
+    async fn end(
+        self,
+        robots: BTreeMap<u32, Commander>,
+        lost: Option<(String, Lost)>,
+    ) -> Result<(), VerbFailure> {
+        let of = self.of.clone();
+        let released = self.release().await;
+        let mut hearing = JoinSet::new();
+        for (unit, mut robot) in robots {
+            let lost = lost.clone().filter(|(token, _)| of.get(&unit) == Some(token));
+            hearing.spawn(async move {
+                let place = robot.channel().path().to_string();
+                match lost {
+                    // The hub has halted it, and another peer may drive it by now.
+                    Some((_, lost)) => match robot.lost(&lost).await.map(|end| end.how) {
+                        Some(How::Lost {
+                            ended: Some(false), ..
+                        }) => Halt::Silent.verdict(&place),
+                        _ => Ok(()),
+                    },
+                    None => robot.end(ready(Ok(()))).await,
+                }
+            });
+        }
+        let mut ended = released;
+        for heard in hearing.join_all().await {
+            ended = both(ended, heard);
+        }
+        ended
     }
 
     async fn release(self) -> Result<(), VerbFailure> {

@@ -5,7 +5,7 @@ use std::pin::pin;
 use std::time::Duration;
 
 use mom_client::{Client, Time};
-use mom_drive::{CommandEnd, DeviceChannel, Holding, Robot, Tell, VerbFailure, WorkEnd, both};
+use mom_drive::{Commander, DeviceChannel, Holding, RobotState, Tell, VerbFailure, WorkEnd, both};
 use serde_json::json;
 use tokio::time::{Instant, timeout};
 
@@ -43,7 +43,7 @@ pub(super) async fn run(
         plan(&model.all().await?.0, what, goal, model.now())?;
         let robot = DeviceChannel::join(client, &args.robot).await?;
         let holding = Holding::grab(client, &args.token, args.wait.map(Duration::from_secs)).await?;
-        Ok::<_, VerbFailure>((model, Robot::new(robot, holding.fence()), holding))
+        Ok::<_, VerbFailure>((model, Commander::new(robot, holding.fence()), holding))
     };
     let (model, robot, mut holding) = tokio::select! {
         begun = begun => begun?,
@@ -62,9 +62,8 @@ pub(super) async fn run(
             return holding.release().await;
         }
         WorkEnd::Lost(lost) => {
-            return Err(job
-                .with_place(VerbFailure::plain(holding.lost_words(&lost)))
-                .await);
+            let loss = holding.loss(&lost, &mut job.robot).await;
+            return Err(job.with_place(loss).await);
         }
         WorkEnd::Ended(Err(failure)) => failure,
         WorkEnd::Interrupted => VerbFailure::plain("interrupted; the token is released"),
@@ -80,7 +79,7 @@ struct Job<'a> {
     what: &'a str,
     goal: &'a Goal,
     model: ModelChannel,
-    robot: Robot,
+    robot: Commander,
     /// Whether the arm was told to move.
     began: bool,
 }
@@ -105,7 +104,7 @@ impl Job<'_> {
     async fn carry_out(&mut self) -> Result<Arrival, VerbFailure> {
         // It may have changed while the token was waited for.
         let plan = plan(&self.model.all().await?.0, self.what, self.goal, self.model.now())?;
-        let robot = self.robot.state().await?;
+        let robot: RobotState = self.robot.state_when(|_| true).await?;
         if let Some(held) = robot.holding {
             let hint = "open them first: echo 'grip open' | mom run -";
             return Err(VerbFailure::new(format!("the jaws hold {held} already"), hint));
@@ -120,9 +119,9 @@ impl Job<'_> {
                 .map(String::as_str)
                 .collect::<Vec<_>>()
                 .join("; ");
-            match self.robot.carry_out(&script).await? {
-                CommandEnd::Done => return self.see(&plan).await,
-                CommandEnd::Refused(reason) => {
+            match self.robot.carry_out(&*script).await.unreachable()? {
+                None => return self.see(&plan).await,
+                Some(reason) => {
                     self.began = false;
                     // The first is the one that is least turned.
                     why.get_or_insert(reason);
@@ -195,7 +194,7 @@ impl Job<'_> {
     async fn whereabouts(&mut self) -> String {
         let failed = self.model.now();
         let until = Instant::now() + GLIMPSE;
-        let state = timeout(GLIMPSE, self.robot.state()).await;
+        let state = timeout(GLIMPSE, self.robot.state_when(|_: &RobotState| true)).await;
         if let Ok(Ok(state)) = state
             && state.holding.as_deref() == Some(self.what)
         {

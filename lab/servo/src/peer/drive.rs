@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use mom_client::{Channel, Client, Event, Events, Family, Parcel, Value, from_value};
-use mom_drive::{DeviceChannel, Holding, RobotState, VerbFailure, both, closed, halt, refusal};
+use mom_drive::{
+    DeviceChannel, Holding, Report as CommandReport, RobotState, VerbFailure, both, closed, halt,
+};
 use mom_program::work::wall;
-use serde::Deserialize;
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::task::block_in_place;
 use tokio::time::{Instant, sleep};
@@ -65,17 +66,6 @@ pub(super) struct Drive {
     stated: Micros,
     seq: i64,
     told: Option<(Instant, Phase)>,
-}
-
-/// A report about a command.
-#[derive(Debug, Deserialize)]
-struct CommandStatus {
-    #[serde(default)]
-    id: Option<u64>,
-    peer: String,
-    state: String,
-    #[serde(default)]
-    error: Option<Value>,
 }
 
 /// The time by the hub's clock, as all images tell theirs; by the own one as long as that is not known.
@@ -203,7 +193,7 @@ impl Drive {
                 }
             }
             Event::Message(parcel) if parcel.name() == "status" => {
-                if let Ok(status) = from_value::<CommandStatus>(parcel.value()) {
+                if let Some(status) = CommandReport::read(parcel) {
                     self.note_status(&status, self.age(parcel));
                 }
             }
@@ -237,12 +227,12 @@ impl Drive {
         age.map_or(0, |age| age.micros.max(0))
     }
 
-    fn note_status(&mut self, status: &CommandStatus, age: Micros) {
+    fn note_status(&mut self, status: &CommandReport, age: Micros) {
         if status.peer != self.links.client.name() {
             return;
         }
         let now = hub_now(&self.links.client);
-        if matches!(status.state.as_str(), "finished" | "error") {
+        if status.is_end() {
             self.over = self.over.max(status.id.unwrap_or(0));
         }
         match status.state.as_str() {
@@ -273,7 +263,7 @@ impl Drive {
                 };
                 let late = error.get("late").and_then(Value::as_int).unwrap_or(0);
                 let at = now - age - late.clamp(0, LATEST) * 1000;
-                self.servo.refused(name, &refusal(&error).text, at, now);
+                self.servo.refused(name, &status.wire_error().text, at, now);
             }
             _ => {}
         }

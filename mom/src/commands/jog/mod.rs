@@ -18,12 +18,13 @@ use tokio::time::{Instant, MissedTickBehavior, interval};
 use self::hand::{Action, Hand};
 use self::view::View;
 use self::way::Way;
-use super::{drive, error_words};
+use super::drive;
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::output::Output;
 use crate::output::event::lost_words;
+use mom_drive::error_words;
 use mom_pages::Interrupt;
 
 /// How often a velocity is said again.

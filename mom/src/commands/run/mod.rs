@@ -3,36 +3,20 @@
 mod progress;
 mod script;
 
-use std::time::Duration;
-
-use mom_arm::{ArmState, CommandState, Pose, Script, Status, pose, rapid};
-use mom_client::{
-    BASED_ON, Card, Channel, Client, ClientError, Event, Events, Family, Lost, Parcel, Path, Token,
-    TokenGuard, Value, from_value,
-};
-use mom_device::ErrorName;
+use mom_arm::{ArmState, Pose, Script, pose, rapid};
+use mom_client::{Card, Channel, Client, ClientError, Lost, Token, TokenGuard, from_value};
+use mom_drive::{Basis, Command, CommandEnd, Commander, DeviceChannel, How, Next, VerbFailure, lost_words};
 use serde_json::json;
-use tokio::time::{Instant, sleep, timeout_at};
 
-pub(crate) use self::progress::error_words;
-use self::progress::{ProgressDisplay, StatusChange};
+use self::progress::ProgressDisplay;
 pub(super) use self::script::ScriptLine;
 use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::input;
-use crate::output::event::lost_words;
 use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
 use mom_pages::Interrupt;
-
-/// How long a robot may take for its first status of a command.
-const ANSWER: Duration = Duration::from_secs(10);
-
-/// How long it may take to end what its last owner has begun.
-const STANDING: Duration = Duration::from_secs(60);
-/// Between two tries of a command whose age is not known yet.
-const MEASURED: Duration = Duration::from_millis(100);
 
 pub(crate) async fn run(args: &cli::RunArgs, global: &GlobalArgs, output: Output) -> Result<(), Failure> {
     let errand = Errand {
@@ -73,57 +57,78 @@ impl Errand<'_> {
         global: &GlobalArgs,
         output: Output,
     ) -> Result<(), Failure> {
-        let device = self.device;
         let client = connect(global, Stay::Driving).await?;
         let mut interrupt = Interrupt::install()?;
         let card = card_of(&client, self.channel).await?;
         if let (Some(name), Some(card)) = (&self.checked, &card) {
             script::check(name, commands, card)?;
         }
-        let (channel, token, mut guard) = drive(&client, self.channel, self.token).await?;
-        let events = channel.events();
+        let (channel, _token, mut guard) = drive(&client, self.channel, self.token).await?;
+        let device = DeviceChannel::of(&client, channel);
+        let mut commander = Commander::new(device, guard.fence());
         let zones = grab_zones(&client, self.zones).await?;
         output.remark(ink(
             format_args!("holding {} (fence {})", self.token, guard.fence()),
             Tone::Faint,
         ));
         let mut job = Job {
-            client: client.clone(),
-            channel: channel.path().clone(),
-            events,
             progress: ProgressDisplay::new(output, commands.len()),
-            robot: None,
-            device,
             keep_going: self.keep_going,
-            fence: guard.fence(),
-            newest: None,
-            moves: false,
             card,
             shown: self.shown,
             output,
         };
-        let result = tokio::select! {
+        let ended = tokio::select! {
             biased;
-            lost = guard.lost() => Err(lost_failure(self.token, device, &lost)),
-            () = interrupt.wait() => Err(Failure::plain(format!("interrupted; the token is released, and the hub halts the {device}"))),
-            result = job.carry_out(commands) => match is_done(&result) || !is_lost(&token, &guard).await {
-                true => result,
-                false => Err(lost_failure(self.token, device, &guard.lost().await)),
-            },
+            lost = guard.lost() => Ended::Lost(lost),
+            () = interrupt.wait() => Ended::Interrupted,
+            result = job.carry_out(&mut commander, commands) => Ended::ByItself(result),
         };
         job.progress.end();
-        let released = match guard.is_lost() {
-            true => Ok(()),
-            false => guard.release().await.doing(format!("release {}", self.token)),
-        };
+        let result = end(ended, &mut commander, guard).await;
         // After the robot's, so that nobody enters one while the robot is still driven there.
         for (zone, path) in zones.into_iter().zip(self.zones) {
             zone.release().await.doing(format!("release {path}"))?;
         }
         client.close().await;
-        let outcome = result?;
-        released?;
-        outcome.tell(commands.len(), &self, output)
+        result?.tell(commands.len(), &self, output)
+    }
+}
+
+/// How the commands ended.
+enum Ended {
+    ByItself(Result<RunOutcome, Failure>),
+    Interrupted,
+    Lost(Lost),
+}
+
+/// Gives the token back, and hears that what runs has ended.
+async fn end(ended: Ended, commander: &mut Commander, guard: TokenGuard) -> Result<RunOutcome, Failure> {
+    let token = guard.path().clone();
+    let result = match ended {
+        Ended::Lost(lost) => {
+            let end = commander.lost(&lost).await;
+            let lost = || Failure::plain(lost_words(token.as_str(), &lost));
+            return Err(end.map_or_else(lost, Failure::from));
+        }
+        Ended::ByItself(result) => result,
+        Ended::Interrupted => Err(Failure::plain(
+            "interrupted; the token is released, and nothing runs any more",
+        )),
+    };
+    let release = async {
+        guard.release().await.map_err(|error| VerbFailure::Hub {
+            what: format!("release {token}"),
+            error,
+        })
+    };
+    match (result, commander.end(release).await) {
+        (result, Ok(())) => result,
+        (Ok(_), Err(failure)) => Err(failure.into()),
+        (Err(first), Err(failure)) => Err(Failure::Failed {
+            text: format!("{first}; {failure}"),
+            hint: failure.hint().map(str::to_owned),
+        }),
     }
 }
 
@@ -243,23 +248,10 @@ impl RunOutcome {
 
 /// Runs the commands one after the other, because a later one may rely on an earlier one.
 struct Job {
-    client: Client,
-    channel: Path,
-    events: Events,
     progress: ProgressDisplay,
-    /// What is driven, in words.
-    device: &'static str,
-    /// The robot's peer, once it has answered.
-    robot: Option<String>,
     keep_going: bool,
-    /// What it says that it can do.
+    /// What the device says that it can do.
     card: Option<Card>,
-    /// That of the token.
-    fence: u64,
-    /// The id of the newest state.
-    newest: Option<u64>,
-    /// Whether it said then that it moves.
-    moves: bool,
     /// Where the hand is, if it is to be shown what a controller would be told.
     shown: Option<Pose>,
     output: Output,
@@ -267,18 +259,22 @@ struct Job {
 
 impl Job {
     /// All of them, up to the first that fails, unless it is to go on.
-    async fn carry_out(&mut self, commands: &[ScriptLine]) -> Result<RunOutcome, Failure> {
+    async fn carry_out(
+        &mut self,
+        commander: &mut Commander,
+        commands: &[ScriptLine],
+    ) -> Result<RunOutcome, Failure> {
         let mut outcome = RunOutcome::default();
         for (index, command) in commands.iter().enumerate() {
             let number = index + 1;
-            self.show(command);
-            self.progress.begin(number, command);
-            let end = self.one(number, command).await?;
-            match end.error {
-                None => outcome.done += 1,
-                Some(error) => {
+            self.show(commander, command);
+            self.progress.begin(number, command)?;
+            let end = self.one(commander, number, command).await?;
+            match end.is_finished() {
+                true => outcome.done += 1,
+                false => {
                     outcome.failed += 1;
-                    outcome.stopped = error.get("name").and_then(Value::as_str) == Some("stopped");
+                    outcome.stopped = end.name() == "stopped";
                 }
             }
             if outcome.failed > 0 && !self.keep_going {
@@ -288,259 +284,57 @@ impl Job {
         Ok(outcome)
     }
 
+    /// One command, to its end by the device.
+    async fn one(
+        &mut self,
+        commander: &mut Commander,
+        number: usize,
+        command: &ScriptLine,
+    ) -> Result<CommandEnd, Failure> {
+        let read = |card| mom_device::check_by_card(card, &command.text);
+        let basis = match self.card.as_ref().map(read) {
+            Some(Ok(script)) if script.relative => Basis::Newest,
+            _ => Basis::Nothing,
+        };
+        commander.begin(Command::from(&*command.text).based_on(basis));
+        loop {
+            let end = match commander.next().await {
+                Next::Progress(progress) => {
+                    self.progress.change(number, command, &progress)?;
+                    continue;
+                }
+                Next::End(end) => end,
+            };
+            return match end.how {
+                How::Finished(_) | How::Failed(_) => {
+                    self.progress.finish(number, command, &end)?;
+                    Ok(end)
+                }
+                How::Refused(error) => Err(Failure::Refused {
+                    what: format!("send line {} to {}", command.line, commander.channel().path()),
+                    error,
+                }),
+                _ => Err(end.into()),
+            };
+        }
+    }
+
     /// Shows what a controller of the real arm would be told, from where the arm was seen last.
-    fn show(&mut self, command: &ScriptLine) {
-        if self.shown.is_none() {
-            return;
+    fn show(&mut self, commander: &mut Commander, command: &ScriptLine) {
+        let Some(from) = &mut self.shown else { return };
+        if let Some(state) = commander.newest_state()
+            && let Ok(state) = from_value::<ArmState>(state)
+        {
+            *from = state.pose;
         }
-        while let Some(event) = self.events.try_next() {
-            self.see(&event);
-        }
-        let Some(from) = self.shown else { return };
         let Ok(script) = command.text.parse::<Script>() else {
             return;
         };
-        match rapid::text(&script, &from) {
+        match rapid::text(&script, from) {
             Ok(text) => self.output.remark(text.trim_end()),
             Err(error) => self
                 .output
                 .remark(format_args!("! {}: {error}", words::visible(&command.text))),
         }
     }
-
-    /// Notes where the arm is.
-    fn see(&mut self, event: &Event) {
-        let Event::Message(parcel) = event else { return };
-        if parcel.name() != "state" {
-            return;
-        }
-        self.newest = parcel.id.or(self.newest);
-        self.moves = parcel.value().get("moving").and_then(Value::as_bool) == Some(true);
-        if !parcel.is_history() {
-            self.robot = parcel.sender.as_deref().map(str::to_owned).or(self.robot.take());
-        }
-        if let Some(shown) = &mut self.shown
-            && let Ok(state) = from_value::<ArmState>(parcel.value())
-        {
-            *shown = state.pose;
-        }
-    }
-
-    /// The id of the newest state, which the robot tells to new members; once it stands, since no other is of where it will be.
-    async fn newest_state(&mut self) -> Result<u64, Failure> {
-        let begin = Instant::now();
-        loop {
-            let patience = match self.newest {
-                Some(newest) if !self.moves => return Ok(newest),
-                Some(_) => STANDING,
-                None => ANSWER,
-            };
-            let event = match (
-                timeout_at(begin + patience, self.events.next()).await,
-                self.newest,
-            ) {
-                (Ok(event), _) => event.ok_or_else(closed)?,
-                // It says itself that it moves.
-                (Err(_), Some(newest)) => return Ok(newest),
-                (Err(_), None) => return Err(self.nobody()),
-            };
-            self.see(&event);
-            self.read(&event, 0)?;
-        }
-    }
-
-    /// One command, to its end; once more when the robot stands, if it came while that was changing hands or out of its controller's reach.
-    async fn one(&mut self, number: usize, command: &ScriptLine) -> Result<StatusChange, Failure> {
-        let began = Instant::now();
-        loop {
-            let end = self.attempt(number, command).await?;
-            let Some(obstacle) = passing_obstacle(&end) else {
-                return Ok(end);
-            };
-            match obstacle {
-                // Our clock is being measured, of which no state tells.
-                ErrorName::TooOld if began.elapsed() > STANDING => return Ok(end),
-                ErrorName::TooOld => sleep(MEASURED).await,
-                _ => self.stands(obstacle).await?,
-            }
-        }
-    }
-
-    /// Waits until the robot says that it stands under our fence.
-    async fn stands(&mut self, obstacle: ErrorName) -> Result<(), Failure> {
-        let deadline = Instant::now() + STANDING;
-        let device = self.device;
-        let still = match obstacle {
-            ErrorName::Link => format!("the link from the {device} to its controller is still down"),
-            _ => format!("the {device} still does what its last owner told it"),
-        };
-        loop {
-            let event = timeout_at(deadline, self.events.next()).await.map_err(|_| {
-                Failure::new(
-                    format!("{still}, after {} s", STANDING.as_secs()),
-                    format!(
-                        "look at it: mom watch {}; halt it: mom stop {}",
-                        self.channel, self.channel
-                    ),
-                )
-            })?;
-            let event = event.ok_or_else(closed)?;
-            if let Event::Message(parcel) = &event
-                && parcel.name() == "state"
-                && let Ok(state) = from_value::<ArmState>(parcel.value())
-                && state.fence.is_some_and(|fence| fence >= self.fence)
-                && state.linked
-                && !state.moving
-            {
-                self.see(&event);
-                return Ok(());
-            }
-            self.see(&event);
-            self.read(&event, 0)?;
-        }
-    }
-
-    async fn attempt(&mut self, number: usize, command: &ScriptLine) -> Result<StatusChange, Failure> {
-        self.progress
-            .change(number, command, &StatusChange::to(CommandState::Sending))?;
-        let id = self.send(command).await?;
-        let mut deadline = Some(Instant::now() + ANSWER);
-        loop {
-            let next = self.events.next();
-            let event = match deadline {
-                Some(deadline) => timeout_at(deadline, next).await.map_err(|_| self.nobody())?,
-                None => next.await,
-            };
-            let event = event.ok_or_else(closed)?;
-            self.see(&event);
-            let Some((change, robot)) = self.read(&event, id)? else {
-                continue;
-            };
-            deadline = None;
-            self.robot = robot.or(self.robot.take());
-            if passing_obstacle(&change).is_none() {
-                self.progress.change(number, command, &change)?;
-            }
-            match change.state {
-                CommandState::Finished | CommandState::Error => return Ok(change),
-                _ => {}
-            }
-        }
-    }
-
-    /// Sends a command and gives its id.
-    async fn send(&mut self, command: &ScriptLine) -> Result<u64, Failure> {
-        let read = |card| mom_device::check_by_card(card, &command.text);
-        let based_on = match self.card.as_ref().map(read) {
-            Some(Ok(script)) if script.relative => i64::try_from(self.newest_state().await?).ok(),
-            _ => None,
-        };
-        let mut parcel = Parcel::new(Family::Message, "command")
-            .context(self.channel.clone())
-            .content(command.text.as_str());
-        parcel.echo = Some(false);
-        if let Some(state) = based_on {
-            parcel.extra.set(BASED_ON, state);
-        }
-        // The receipt refers to the id that the client has given.
-        parcel.receipt = Some(true);
-        let what = format!("send line {} to {}", command.line, self.channel);
-        let receipt = self.client.request(parcel).await.doing(what)?;
-        match receipt.value().get("delivered").and_then(Value::as_int) {
-            Some(0) => Err(self.nobody()),
-            _ => receipt
-                .reference
-                .ok_or_else(|| Failure::plain("the hub's receipt does not say for what")),
-        }
-    }
-
-    /// The status in an event about the command `id`, and its sender.
-    fn read(&self, event: &Event, id: u64) -> Result<Option<(StatusChange, Option<String>)>, Failure> {
-        match event {
-            Event::Message(parcel) if parcel.name() == "status" && !parcel.is_history() => {
-                let Ok(status) = from_value::<Status>(parcel.value()) else {
-                    return Ok(None);
-                };
-                if status.id != Some(id) || status.peer != self.client.name() {
-                    return Ok(None);
-                }
-                let change = StatusChange {
-                    state: status.state,
-                    statement: status.statement,
-                    of: status.of,
-                    error: match status.state {
-                        CommandState::Error => Some(status.error.unwrap_or_default()),
-                        _ => None,
-                    },
-                };
-                Ok(Some((change, parcel.sender.as_deref().map(str::to_owned))))
-            }
-            event
-                if let Some(gone) = self
-                    .robot
-                    .as_deref()
-                    .and_then(|robot| mom_drive::gone(event, robot)) =>
-            {
-                Err(Failure::new(
-                    format!("{gone} {}", self.channel),
-                    "see who is there: mom tree",
-                ))
-            }
-            Event::LinkDown => Err(Failure::new(
-                "the connection to the hub is lost, and the token with it",
-                format!(
-                    "the hub halts the {}; see what it did: mom watch, mom snap",
-                    self.device
-                ),
-            )),
-            Event::Lagged(count) => Err(Failure::plain(format!(
-                "{} lost here; what became of the command is not known",
-                words::count(*count, "event")
-            ))),
-            _ => Ok(None),
-        }
-    }
-
-    fn nobody(&self) -> Failure {
-        Failure::new(
-            format!("no {} answers in {}", self.device, self.channel),
-            format!(
-                "see who is there: mom tree {}",
-                self.channel.parent().unwrap_or_else(Path::root)
-            ),
-        )
-    }
-}
-
-fn closed() -> Failure {
-    Failure::plain("the connection to the hub is closed")
-}
-
-/// Why the robot did not take a command that it will take a little later: when it stands, can be reached, or knows how old the command is.
-fn passing_obstacle(change: &StatusChange) -> Option<ErrorName> {
-    let error = change.error.as_ref()?;
-    let name = error.get("name").and_then(Value::as_str)?;
-    let retry = error.get("retry").and_then(Value::as_bool) == Some(true);
-    let obstacles = [ErrorName::ChangingHands, ErrorName::Link, ErrorName::TooOld].into_iter();
-    obstacles
-        .filter(|_| retry)
-        .find(|obstacle| obstacle.as_str() == name)
-}
-
-fn is_done(result: &Result<RunOutcome, Failure>) -> bool {
-    matches!(result, Ok(outcome) if outcome.failed == 0)
-}
-
-/// Whether the token is lost by now. A robot that is halted because of that may say so before the hub does.
-async fn is_lost(token: &Token, guard: &TokenGuard) -> bool {
-    // The hub answers after all that it had to say. Without an answer the link is down, which the failure says.
-    let _ = token.info().await;
-    guard.is_lost()
-}
-
-fn lost_failure(token: &str, device: &str, lost: &Lost) -> Failure {
-    Failure::plain(format!(
-        "lost {token}: {}; the hub halts the {device}",
-        lost_words(lost)
-    ))
 }

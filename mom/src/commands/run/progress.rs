@@ -1,11 +1,11 @@
 //! The progress of the commands (M42): a moving line at a terminal, one line per change elsewhere.
 
+use std::fmt;
 use std::io::{self, IsTerminal as _};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
-use mom_arm::CommandState;
-use mom_client::Value;
+use mom_drive::{CommandEnd, How, Progress};
 use serde_json::{Value as Json, json};
 
 use super::script::ScriptLine;
@@ -14,34 +14,6 @@ use crate::output::{Output, to_json, words};
 
 const TICK: Duration = Duration::from_millis(100);
 
-/// A change of status of one command.
-#[derive(Clone, Debug)]
-pub(super) struct StatusChange {
-    pub(super) state: CommandState,
-    /// The statement being executed, 0 before the first.
-    pub(super) statement: u32,
-    /// How many statements the command has, 0 while that is not known.
-    pub(super) of: u32,
-    /// `{name, code, text}`, where the state is `error`.
-    pub(super) error: Option<Value>,
-}
-
-impl StatusChange {
-    /// A state without details.
-    pub(super) fn to(state: CommandState) -> StatusChange {
-        StatusChange {
-            state,
-            statement: 0,
-            of: 0,
-            error: None,
-        }
-    }
-
-    fn is_end(&self) -> bool {
-        matches!(self.state, CommandState::Finished | CommandState::Error)
-    }
-}
-
 /// Shows the commands of one run.
 pub(super) struct ProgressDisplay {
     output: Output,
@@ -49,6 +21,8 @@ pub(super) struct ProgressDisplay {
     /// The moving line, at a terminal.
     bar: Option<ProgressBar>,
     begun: Instant,
+    /// Why the command is sent again, as it was told last.
+    again: Option<String>,
 }
 
 impl ProgressDisplay {
@@ -59,52 +33,75 @@ impl ProgressDisplay {
             total,
             bar: terminal.then(make_bar),
             begun: Instant::now(),
+            again: None,
         }
     }
 
     /// A command begins its way; `number` counts from 1.
-    pub(super) fn begin(&mut self, number: usize, command: &ScriptLine) {
+    pub(super) fn begin(&mut self, number: usize, command: &ScriptLine) -> io::Result<()> {
         self.begun = Instant::now();
+        self.again = None;
         if let Some(bar) = &self.bar {
             bar.set_prefix(format!("{number}/{}", self.total));
             bar.set_length(1);
             bar.set_position(0);
             bar.set_message(words::visible(&command.text));
             bar.enable_steady_tick(TICK);
+            return Ok(());
         }
+        self.output.tell(
+            || change_json(number, command, "sending"),
+            || {
+                line(
+                    number,
+                    self.total,
+                    ink("sending", Tone::Faint),
+                    &words::visible(&command.text),
+                )
+            },
+        )
     }
 
     /// A command has come further.
     pub(super) fn change(
-        &self,
+        &mut self,
         number: usize,
         command: &ScriptLine,
-        change: &StatusChange,
+        progress: &Progress,
     ) -> io::Result<()> {
+        if let Progress::Again { why, .. } = progress
+            && self.again.replace(why.clone()).as_ref() == Some(why)
+        {
+            return Ok(());
+        }
+        let Some(bar) = &self.bar else {
+            return self.output.tell(
+                || progress_json(number, command, progress),
+                || progress_line(number, self.total, command, progress),
+            );
+        };
+        if let Progress::Device { statement, of, .. } = progress {
+            bar.set_length((*of).max(1).into());
+            // A statement that has begun is not yet done.
+            bar.set_position(statement.saturating_sub(1).into());
+        }
+        bar.set_message(format!(
+            "{}  {}",
+            state_words(progress),
+            words::visible(&command.text)
+        ));
+        Ok(())
+    }
+
+    /// A command has ended by the device's word.
+    pub(super) fn finish(&self, number: usize, command: &ScriptLine, end: &CommandEnd) -> io::Result<()> {
         let took = self.begun.elapsed();
         match &self.bar {
             None => self.output.tell(
-                || change_json(number, command, change, took),
-                || change_line(number, self.total, command, change, took),
+                || end_json(number, command, end, took),
+                || end_line(number, self.total, command, end, took),
             ),
-            Some(bar) if change.is_end() => {
-                bar.suspend(|| self.output.human(end_line(number, command, change, took)))
-            }
-            Some(bar) => {
-                bar.set_length(change.of.max(1).into());
-                // A statement that has begun is not yet done.
-                bar.set_position(change.statement.saturating_sub(1).into());
-                let step = match change.of {
-                    0 | 1 => String::new(),
-                    of => format!(" {} of {of}", change.statement),
-                };
-                bar.set_message(format!(
-                    "{}{step}  {}",
-                    word(change.state),
-                    words::visible(&command.text)
-                ));
-                Ok(())
-            }
+            Some(bar) => bar.suspend(|| self.output.human(lasting_line(number, command, end, took))),
         }
     }
 
@@ -124,185 +121,106 @@ fn make_bar() -> ProgressBar {
     bar
 }
 
+/// How far it has come: `executing 1 of 2`.
+fn state_words(progress: &Progress) -> String {
+    match progress {
+        Progress::Device { state, statement, of } if *of > 1 && *statement > 0 => {
+            format!("{} {statement} of {of}", words::visible(state))
+        }
+        Progress::Device { state, .. } => words::visible(state),
+        Progress::Again { text, .. } => format!("not yet: {text}"),
+    }
+}
+
 /// `[1/3] executing 1 of 2: move 100 50 200 0 0; grip close`
-fn change_line(
-    number: usize,
-    total: usize,
-    command: &ScriptLine,
-    change: &StatusChange,
-    took: Duration,
-) -> String {
-    let step = match (change.state, change.of) {
-        (CommandState::Executing, of) if of > 1 => format!(" {} of {of}", change.statement),
-        (CommandState::Finished, _) => format!(" in {}", words::duration(took)),
-        _ => String::new(),
+fn progress_line(number: usize, total: usize, command: &ScriptLine, progress: &Progress) -> String {
+    let tone = match progress {
+        Progress::Device { state, .. } if state == "executing" => Tone::Notice,
+        _ => Tone::Faint,
     };
-    let state = ink(format_args!("{}{step}", word(change.state)), colour(change.state));
-    let text = match &change.error {
-        Some(error) => format!("{} ({})", error_words(error), words::visible(&command.text)),
-        None => words::visible(&command.text),
-    };
-    format!(
-        "{} {state}: {text}",
-        ink(format_args!("[{number}/{total}]"), Tone::Faint)
-    )
+    let state = ink(state_words(progress), tone);
+    line(number, total, state, &words::visible(&command.text))
+}
+
+fn line(number: usize, total: usize, state: impl fmt::Display, text: &str) -> String {
+    let place = ink(format_args!("[{number}/{total}]"), Tone::Faint);
+    format!("{place} {state}: {text}")
+}
+
+fn end_line(number: usize, total: usize, command: &ScriptLine, end: &CommandEnd, took: Duration) -> String {
+    let text = words::visible(&command.text);
+    match end.is_finished() {
+        true => {
+            let state = ink(format_args!("finished in {}", words::duration(took)), Tone::Good);
+            line(number, total, state, &text)
+        }
+        false => line(
+            number,
+            total,
+            ink("error", Tone::Bad),
+            &format!("{} ({text})", end.text),
+        ),
+    }
 }
 
 /// The line that stays at a terminal.
-fn end_line(number: usize, command: &ScriptLine, change: &StatusChange, took: Duration) -> String {
+fn lasting_line(number: usize, command: &ScriptLine, end: &CommandEnd, took: Duration) -> String {
     let text = words::visible(&command.text);
-    match &change.error {
-        None => {
+    match end.is_finished() {
+        true => {
             let took = ink(words::duration(took), Tone::Faint);
             format!("{} {number:>2}  {text}  {took}", ink("ok   ", Tone::Good))
         }
-        Some(error) => {
-            format!(
-                "{} {number:>2}  {text}\n          {}",
-                ink("error", Tone::Bad),
-                error_words(error)
-            )
-        }
+        false => format!(
+            "{} {number:>2}  {text}\n          {}",
+            ink("error", Tone::Bad),
+            end.text
+        ),
     }
 }
 
-fn change_json(number: usize, command: &ScriptLine, change: &StatusChange, took: Duration) -> Json {
-    let mut json = json!({
+fn change_json(number: usize, command: &ScriptLine, state: &str) -> Json {
+    json!({
         "command": number,
         "line": command.line,
         "text": command.text,
-        "state": word(change.state),
-    });
-    if change.of > 0 {
-        json["statement"] = change.statement.into();
-        json["of"] = change.of.into();
+        "state": state,
+    })
+}
+
+fn progress_json(number: usize, command: &ScriptLine, progress: &Progress) -> Json {
+    match progress {
+        Progress::Device { state, statement, of } => {
+            let mut json = change_json(number, command, state);
+            add_statements(&mut json, *statement, *of);
+            json
+        }
+        Progress::Again { why, .. } => {
+            let mut json = change_json(number, command, "again");
+            json["why"] = why.as_str().into();
+            json
+        }
     }
-    if change.is_end() {
-        json["took"] = u64::try_from(took.as_millis()).unwrap_or(u64::MAX).into();
+}
+
+fn add_statements(json: &mut Json, statement: u32, of: u32) {
+    if of > 0 {
+        json["statement"] = statement.into();
+        json["of"] = of.into();
     }
-    if let Some(error) = &change.error {
+}
+
+fn end_json(number: usize, command: &ScriptLine, end: &CommandEnd, took: Duration) -> Json {
+    let (state, statement, of, error) = match &end.how {
+        How::Failed(report) => ("error", report.statement, report.of, report.error.as_ref()),
+        How::Finished(of) => ("finished", *of, *of, None),
+        _ => ("error", 0, 0, None),
+    };
+    let mut json = change_json(number, command, state);
+    add_statements(&mut json, statement, of);
+    json["took"] = u64::try_from(took.as_millis()).unwrap_or(u64::MAX).into();
+    if let Some(error) = error {
         json["error"] = to_json(error);
     }
     json
-}
-
-/// The robot's words for what went wrong, with its code (M53).
-pub(crate) fn error_words(error: &Value) -> String {
-    let text = error
-        .get("text")
-        .and_then(Value::as_str)
-        .unwrap_or("it failed, and the robot does not say why");
-    let mut shown = String::new();
-    if let Some(statement) = error.get("statement").and_then(Value::as_int)
-        && !text.starts_with("statement ")
-    {
-        shown.push_str(&format!("statement {statement}: "));
-    }
-    shown.push_str(&words::visible(text));
-    let name = error.get("name").and_then(Value::as_str).map(words::visible);
-    let code = error
-        .get("code")
-        .and_then(Value::as_int)
-        .map(|code| code.to_string());
-    let known: Vec<String> = [name, code].into_iter().flatten().collect();
-    if !known.is_empty() {
-        shown.push_str(&format!(" [{}]", known.join(" ")));
-    }
-    shown
-}
-
-fn word(state: CommandState) -> &'static str {
-    match state {
-        CommandState::Waiting => "waiting",
-        CommandState::Sending => "sending",
-        CommandState::Executing => "executing",
-        CommandState::Finished => "finished",
-        CommandState::Error => "error",
-    }
-}
-
-fn colour(state: CommandState) -> Tone {
-    match state {
-        CommandState::Waiting | CommandState::Sending => Tone::Faint,
-        CommandState::Executing => Tone::Notice,
-        CommandState::Finished => Tone::Good,
-        CommandState::Error => Tone::Bad,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use mom_client::Map;
-
-    use super::*;
-
-    fn check(change: &StatusChange, line: &str, end: Option<&str>, json: &str) {
-        let command = ScriptLine {
-            line: 7,
-            indent: 0,
-            text: "home; grip close".to_owned(),
-        };
-        let took = Duration::from_millis(4100);
-        let plain = |text: String| anstream::adapter::strip_str(&text).to_string();
-        assert_eq!(plain(change_line(2, 3, &command, change, took)), line);
-        assert_eq!(change_json(2, &command, change, took).to_string(), json);
-        assert_eq!(change.is_end(), end.is_some());
-        if let Some(end) = end {
-            assert_eq!(plain(end_line(2, &command, change, took)), end);
-        }
-    }
-
-    #[test]
-    fn every_state_of_a_command() {
-        check(
-            &StatusChange::to(CommandState::Sending),
-            "[2/3] sending: home; grip close",
-            None,
-            r#"{"command":2,"line":7,"text":"home; grip close","state":"sending"}"#,
-        );
-        check(
-            &StatusChange {
-                statement: 1,
-                of: 2,
-                ..StatusChange::to(CommandState::Executing)
-            },
-            "[2/3] executing 1 of 2: home; grip close",
-            None,
-            r#"{"command":2,"line":7,"text":"home; grip close","state":"executing","statement":1,"of":2}"#,
-        );
-        check(
-            &StatusChange {
-                statement: 2,
-                of: 2,
-                ..StatusChange::to(CommandState::Finished)
-            },
-            "[2/3] finished in 4.1 s: home; grip close",
-            Some("ok     2  home; grip close  4.1 s"),
-            r#"{"command":2,"line":7,"text":"home; grip close","state":"finished","statement":2,"of":2,"took":4100}"#,
-        );
-        let error = Map::new()
-            .with("name", "joint-limit")
-            .with("code", 5005)
-            .with("text", "too far")
-            .with("statement", 2);
-        check(
-            &StatusChange {
-                error: Some(error.into()),
-                ..StatusChange::to(CommandState::Error)
-            },
-            "[2/3] error: statement 2: too far [joint-limit 5005] (home; grip close)",
-            Some("error  2  home; grip close\n          statement 2: too far [joint-limit 5005]"),
-            r#"{"command":2,"line":7,"text":"home; grip close","state":"error","took":4100,"error":{"name":"joint-limit","code":5005,"text":"too far","statement":2}}"#,
-        );
-    }
-
-    #[test]
-    fn an_error_without_words_is_still_told() {
-        assert_eq!(
-            error_words(&Value::Null),
-            "it failed, and the robot does not say why"
-        );
-        let twice = Map::new().with("text", "statement 1: no").with("statement", 1);
-        assert_eq!(error_words(&twice.into()), "statement 1: no");
-    }
 }
