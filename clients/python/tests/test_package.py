@@ -10,6 +10,7 @@ from pathlib import Path
 
 import mom
 import mom.device
+import mom.drive
 
 HERE = Path(__file__).parents[1]
 
@@ -36,13 +37,14 @@ def test_the_reference_is_made_of_the_comments(tmp_path: Path) -> None:
     run("-m", "pdoc", "mom", "-o", str(tmp_path), env={"PYTHONPATH": "src", "PATH": "/usr/bin:/bin"})
     assert "Exclusive control of what a token guards" in (tmp_path / "mom.html").read_text()
     assert "Makes a method a verb" in (tmp_path / "mom/device.html").read_text()
+    assert "A device that is driven under a token" in (tmp_path / "mom/drive.html").read_text()
 
 
 def test_all_that_is_public_is_described() -> None:
-    for module in (mom, mom.device):
+    for module in (mom, mom.device, mom.drive):
         for name in module.__all__:
             value = getattr(module, name)
-            if isinstance(value, type) or name in ("connect", "verb"):
+            if isinstance(value, type) or name in ("connect", "driving", "lost_words", "verb"):
                 assert (value.__doc__ or "").strip(), name
 
 
