@@ -11,13 +11,15 @@ test("the bundle has 27 KiB gzipped at most", () => {
   assert.ok(bytes <= 27 * 1024, `${bytes} bytes: find out what it is by \`npx esbuild src/index.ts --bundle --minify --format=esm --analyze\``);
 });
 
-test("what devices need beside it has 15 KiB gzipped at most, and imports the client only", () => {
-  const text = readFileSync(here("../dist/device.js"), "utf8");
-  const bytes = gzipSync(text, { level: 9 }).length;
-  assert.ok(bytes <= 15 * 1024, `${bytes} bytes`);
-  assert.deepEqual([...text.matchAll(/\bfrom *"([^"]*)"/g)].map(([, from]) => from).filter((from) => from !== "./mom-client.js"), []);
-  assert.ok(existsSync(here("../dist/types/device/index.d.ts")));
-});
+for (const [who, name, most] of [["devices need", "device", 15], ["those need who drive one", "drive", 6]]) {
+  test(`what ${who} beside it has ${most} KiB gzipped at most, and imports the client only`, () => {
+    const text = readFileSync(here(`../dist/${name}.js`), "utf8");
+    const bytes = gzipSync(text, { level: 9 }).length;
+    assert.ok(bytes <= most * 1024, `${bytes} bytes`);
+    assert.deepEqual([...text.matchAll(/\bfrom *"([^"]*)"/g)].map(([, from]) => from).filter((from) => from !== "./mom-client.js"), []);
+    assert.ok(existsSync(here(`../dist/types/${name}/index.d.ts`)));
+  });
+}
 
 test("the bundle imports nothing, and its types are there", () => {
   const text = readFileSync(here("../dist/mom-client.js"), "utf8");
@@ -36,5 +38,5 @@ test("the lock file names no registry", () => {
 test("what is packed is what is needed", () => {
   const [{ files }] = JSON.parse(execFileSync("npm", ["pack", "--dry-run", "--json", "--ignore-scripts"], { cwd: here("..").pathname, stdio: ["ignore", "pipe", "ignore"] }));
   const names = files.map((file) => file.path).filter((path) => !path.startsWith("dist/types/"));
-  assert.deepEqual(names.sort(), ["README.md", "dist/device.js", "dist/device.js.map", "dist/mom-client.js", "dist/mom-client.js.map", "package.json"]);
+  assert.deepEqual(names.sort(), ["README.md", "dist/device.js", "dist/device.js.map", "dist/drive.js", "dist/drive.js.map", "dist/mom-client.js", "dist/mom-client.js.map", "package.json"]);
 });

@@ -1,5 +1,6 @@
 // What a program in TypeScript may rely on; `tsc` reads it against the types that are packed.
 import { attachment, device, number, runs, sleep, verb, word, type Obeying } from "../dist/types/device/index.js";
+import { Commander, Course, drive as driven, type Command, type CommandEnd } from "../dist/types/drive/index.js";
 import { Key, MomError, Time, connect, isObeyed, type Event, type LinkState, type StopState } from "../dist/types/index.js";
 
 export async function drive(pem: string): Promise<number> {
@@ -9,6 +10,24 @@ export async function drive(pem: string): Promise<number> {
   const { delivered } = await arm.sendAcknowledged("command", { joints: [1, 2n, 0.5], at: new Date(), raw: Uint8Array.of(1), nothing: undefined }, { fence: guard.fence, to: ["arm"] });
   for await (const event of arm.events()) show(event);
   return delivered;
+}
+
+export async function commands(user: string, list: Command[]): Promise<CommandEnd | undefined> {
+  const client = await connect("mom://127.0.0.1", { user });
+  await using arm = await driven(client, "/robot/arm", { wait: 30_000, onPlace: (place) => console.log(place) });
+  for (const command of list) {
+    const end = await arm.carryOut(command, { told: (progress) => console.log(progress.kind === "again" ? progress.why : progress.statement) });
+    if (end.how.kind === "lost") console.log(end.how.lost.by, end.how.ended);
+    if (!end.finished) return end;
+  }
+  const guard = await (await client.token("/camera/pan-token")).accept();
+  const pan = new Commander(client, await client.channel("/camera/pan"), guard.fence);
+  const course = new Course(client.name, { place: "/camera/pan" }, guard.fence);
+  course.begin({ text: "turn 5 0", basedOn: "newest" });
+  for (let step = course.poll(); step; step = course.poll()) if (step.step === "send") course.refused(new Error() as MomError);
+  course.refused({ code: "held", text: "alice drives" });
+  await pan.end(() => guard.release());
+  return pan.lost({ reason: "expired" });
 }
 
 export async function stop(user: string): Promise<Obeying> {

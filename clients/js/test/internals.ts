@@ -14,6 +14,8 @@ export { WORDS } from "../src/words.js";
 export { Wire } from "../src/wire.js";
 export { permits } from "../src/places.js";
 export * from "../src/device/index.js";
+export { Commander, Course, DriveError, Driving, drive, lossWords, reportOf as commandReportOf, verdict } from "../src/drive/index.js";
+export { errorWords } from "../src/drive/heard.js";
 export { Rest, Sample } from "../src/device/rest.js";
 export { Pull } from "../src/device/pull.js";
 export { mostSimilar } from "../src/device/nearest.js";
