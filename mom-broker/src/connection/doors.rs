@@ -273,7 +273,9 @@ impl Seat {
             Some(user) => state.leave(user),
             None => drop(state.remove(self.id).ok_or_else(evicted)?),
         }
-        let user: Arc<str> = user.into();
+        // All connections of a user share its name.
+        let known = state.users.get_key_value(user);
+        let user: Arc<str> = known.map_or_else(|| user.into(), |(known, _)| Arc::clone(known));
         *state.users.entry(Arc::clone(&user)).or_default() += 1;
         self.user = Some(user);
         Ok(())

@@ -250,7 +250,7 @@ impl Connection {
     fn compression(&self) -> Option<Compression> {
         match self.outbox.packs() {
             true => Some(Compression::Zstd),
-            false => self.arrival.compression.as_ref().map(|(way, _)| *way),
+            false => self.arrival.compression.as_ref().map(|charged| charged.0),
         }
     }
 
@@ -265,7 +265,10 @@ impl Connection {
         };
         let way = *granted.wishes().compress.iter().find(fits)?;
         match way.is_stream() {
-            true => self.arrival.compression = Some((way, account.charge(COMPRESSION_MEMORY))),
+            true => {
+                let charge = account.charge(COMPRESSION_MEMORY);
+                self.arrival.compression = Some(Box::new((way, charge)));
+            }
             false => self.outbox.begin_packing(),
         }
         Some(way)

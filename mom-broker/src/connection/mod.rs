@@ -120,8 +120,8 @@ struct Arrival {
     unfinished: Option<Unfinished>,
     /// The bytes of a whole one that waits for a thread which opens it.
     opening: usize,
-    /// How all that follows is compressed, and the memory for it.
-    compression: Option<(Compression, Charge)>,
+    /// How all that follows is compressed, and the memory for it; boxed, for few are.
+    compression: Option<Box<(Compression, Charge)>>,
 }
 
 impl Arrival {

@@ -151,7 +151,8 @@ impl Connection {
         }
         if let Some((way, account)) = self.outbox.stream().zip(self.outbox.account()) {
             reader.take_compressed(way);
-            self.arrival.compression = Some((way, account.charge(COMPRESSION_MEMORY)));
+            let charge = account.charge(COMPRESSION_MEMORY);
+            self.arrival.compression = Some(Box::new((way, charge)));
         }
         reader.trust();
         let link = self.arrival.link();

@@ -80,6 +80,7 @@ impl World {
         let Some(member) = context.and_then(|context| context.members.get_mut(&peer)) else {
             return self.fault("what a peer says as a device that is not a member");
         };
+        let installation = installation.map(Box::new);
         if member.installation == installation && member.card == card {
             return;
         }

@@ -45,7 +45,7 @@ impl World {
                 .is_none_or(|known| known.lost.is_some());
             let is_same = other.facts.user == joins.facts.user
                 && installation
-                    .zip(other.installation.as_ref())
+                    .zip(other.installation.as_deref())
                     .is_some_and(|(new, old)| new.follows(old));
             if !is_lost && !is_same {
                 return Err(occupied(context, other));

@@ -76,6 +76,12 @@ impl Route {
         self.position(peer).map(|position| &self.members[position])
     }
 
+    /// How many members in front are the same connections as in another route.
+    pub fn same_front(&self, other: &Route) -> usize {
+        let both = self.members.iter().zip(&other.members);
+        both.take_while(|(own, other)| own.peer == other.peer).count()
+    }
+
     /// The place of a connection among the members.
     pub fn position(&self, peer: PeerId) -> Option<usize> {
         self.members

@@ -22,8 +22,8 @@ pub struct Member {
     pub thinning: Thinning,
     /// Whether it is a device: one that obeys `stop` here, and says so.
     pub device: bool,
-    /// Which one, if it says so.
-    pub(crate) installation: Option<Installation>,
+    /// Which one, if it says so; boxed, for most members are no devices.
+    pub(crate) installation: Option<Box<Installation>>,
     /// What it can do, if it says so.
     pub(crate) card: Option<Arc<Value>>,
     standing: Vec<StandingVerdict>,

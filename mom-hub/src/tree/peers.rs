@@ -65,7 +65,8 @@ impl Peer {
 /// All peers by connection and by name.
 #[derive(Debug, Default)]
 pub(crate) struct Peers {
-    by_id: BTreeMap<PeerId, Peer>,
+    /// Boxed: peers come in the order of their numbers, which leaves each node of the tree half empty.
+    by_id: BTreeMap<PeerId, Box<Peer>>,
     by_name: BTreeMap<Arc<str>, PeerId>,
     /// Names that their peers gave up.
     resting: BTreeMap<Arc<str>, Rest>,
@@ -74,7 +75,7 @@ pub(crate) struct Peers {
     /// The same by user, the longest at rest first.
     rests_of: BTreeMap<Arc<str>, BTreeSet<(Micros, Arc<str>)>>,
     /// All these names, present and at rest, by each form in which one could be taken for another.
-    by_fold: BTreeMap<String, Arc<str>>,
+    by_fold: BTreeMap<Arc<str>, Arc<str>>,
     /// The lowest number that may be free, for nicknames with many peers, by their first form.
     crowded: BTreeMap<String, u32>,
 }
@@ -96,15 +97,15 @@ const RESTING: usize = 256;
 
 impl Peers {
     pub(crate) fn get(&self, peer: PeerId) -> Option<&Peer> {
-        self.by_id.get(&peer)
+        self.by_id.get(&peer).map(Box::as_ref)
     }
 
     pub(crate) fn get_mut(&mut self, peer: PeerId) -> Option<&mut Peer> {
-        self.by_id.get_mut(&peer)
+        self.by_id.get_mut(&peer).map(Box::as_mut)
     }
 
     pub(crate) fn iter(&self) -> impl Iterator<Item = (PeerId, &Peer)> {
-        self.by_id.iter().map(|(id, peer)| (*id, peer))
+        self.by_id.iter().map(|(id, peer)| (*id, &**peer))
     }
 
     pub(crate) fn id_of(&self, name: &str) -> Option<PeerId> {
@@ -117,9 +118,14 @@ impl Peers {
         let (name, folds) = self.free_name(nickname, &user.name);
         for fold in folds {
             // What rests in this form was the same user's, or it would not be free.
-            if let Some(rested) = self.by_fold.get(&fold).map(Arc::clone) {
+            if let Some(rested) = self.by_fold.get(fold.as_str()).map(Arc::clone) {
                 self.end_rest(&rested);
             }
+            // Most names are their own first form.
+            let fold = match *fold == *name {
+                true => Arc::clone(&name),
+                false => fold.into(),
+            };
             self.by_fold.insert(fold, Arc::clone(&name));
         }
         let facts = Arc::new(PeerFacts {
@@ -129,7 +135,7 @@ impl Peers {
             groups: user.groups.into(),
         });
         self.by_name.insert(name, peer);
-        self.by_id.insert(peer, Peer::new(Arc::clone(&facts)));
+        self.by_id.insert(peer, Box::new(Peer::new(Arc::clone(&facts))));
         facts
     }
 
@@ -141,7 +147,7 @@ impl Peers {
             level: user.level,
             groups: user.groups.clone().into(),
         };
-        self.by_id.insert(peer, Peer::new(Arc::new(facts)));
+        self.by_id.insert(peer, Box::new(Peer::new(Arc::new(facts))));
     }
 
     /// Removes what was lent.
@@ -162,7 +168,7 @@ impl Peers {
     }
 
     /// Removes a peer; its name rests for other users.
-    pub(crate) fn remove(&mut self, peer: PeerId, rest_until: Micros) -> Option<Peer> {
+    pub(crate) fn remove(&mut self, peer: PeerId, rest_until: Micros) -> Option<Box<Peer>> {
         let gone = self.by_id.remove(&peer)?;
         let (name, user) = (&gone.facts.name, &gone.facts.user);
         self.by_name.remove(name);
@@ -211,7 +217,7 @@ impl Peers {
 
     /// Whether a peer that is here has such a name.
     fn is_present(&self, folds: &[String], count: u32) -> bool {
-        let name = |fold: &String| self.by_fold.get(&numbered_name(fold, count));
+        let name = |fold: &String| self.by_fold.get(numbered_name(fold, count).as_str());
         let mut names = folds.iter().filter_map(name);
         names.any(|name| self.by_name.contains_key(name))
     }
@@ -219,7 +225,7 @@ impl Peers {
     /// Whether a user may have such a name. One that rests is free for the same user at once: a peer that comes back is the
     /// same person.
     fn is_free(&self, folds: &[String], count: u32, user: &str) -> bool {
-        let name = |fold: &String| self.by_fold.get(&numbered_name(fold, count));
+        let name = |fold: &String| self.by_fold.get(numbered_name(fold, count).as_str());
         let mut names = folds.iter().filter_map(name);
         names.all(|name| self.resting.get(name).is_some_and(|rest| *rest.user == *user))
     }
@@ -249,8 +255,8 @@ impl Peers {
         let (nickname, count) = split_name(name);
         for fold in folds_of(nickname) {
             let fold = numbered_name(&fold, count);
-            if self.by_fold.get(&fold) == Some(name) {
-                self.by_fold.remove(&fold);
+            if self.by_fold.get(fold.as_str()) == Some(name) {
+                self.by_fold.remove(fold.as_str());
             }
         }
     }

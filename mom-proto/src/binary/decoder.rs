@@ -16,7 +16,8 @@ use crate::{Code, ContextNumber, Limit, Limits, PROTOCOL_VERSION, Parcel, Path, 
 #[derive(Debug)]
 pub struct BinaryDecoder {
     parcel: Limit,
-    depth: usize,
+    /// Small, for each idle connection has a decoder; the bound of a configuration is smaller still.
+    depth: u32,
     slots: usize,
     greeted: bool,
     names: NameCache,
@@ -35,7 +36,7 @@ impl BinaryDecoder {
     pub fn new(limits: &Limits) -> BinaryDecoder {
         BinaryDecoder {
             parcel: limits.parcel,
-            depth: limits.depth,
+            depth: depth_of(limits),
             slots: limits.slots,
             greeted: false,
             names: NameCache::default(),
@@ -69,7 +70,7 @@ impl BinaryDecoder {
 
     fn bounds(&self) -> HeaderBounds {
         HeaderBounds {
-            depth: self.depth,
+            depth: self.depth as usize,
             slots: self.slots,
             unpacked: self.packed.then_some(self.parcel),
         }
@@ -84,7 +85,7 @@ impl BinaryDecoder {
     pub fn set_limits(&mut self, limits: &Limits) {
         self.chunks = true;
         self.parcel = limits.parcel;
-        self.depth = limits.depth;
+        self.depth = depth_of(limits);
         self.slots = limits.slots;
     }
 
@@ -204,4 +205,8 @@ impl BinaryDecoder {
 
 pub(super) fn broken(what: &str) -> WireError {
     WireError::new(Code::BAD_FRAME, what)
+}
+
+fn depth_of(limits: &Limits) -> u32 {
+    u32::try_from(limits.depth).unwrap_or(u32::MAX)
 }

@@ -119,23 +119,21 @@ impl Channel {
         state.settle_thinning(&route);
         // What they wait for may be gone, or not allowed any more.
         state.call_waiting();
-        // Both lists are sorted, so most outboxes are found without a look-up.
-        let old = std::mem::take(&mut state.outboxes);
-        let mut known = state
-            .route
-            .members
-            .iter()
-            .map(|member| member.peer)
-            .zip(old)
-            .peekable();
-        let outboxes = route.members.iter().map(|member| {
+        // Both lists are sorted, so most outboxes are found without a look-up, and those in front of the first change stay
+        // where they are.
+        let mut outboxes = std::mem::take(&mut state.outboxes);
+        let same = route.same_front(&state.route).min(outboxes.len());
+        let rest = outboxes.split_off(same);
+        let old = state.route.members[same..].iter().map(|member| member.peer);
+        let mut known = old.zip(rest).peekable();
+        outboxes.extend(route.members[same..].iter().map(|member| {
             while known.next_if(|(peer, _)| *peer < member.peer).is_some() {}
             match known.next_if(|(peer, _)| *peer == member.peer) {
                 Some((_, found)) => found,
                 None => outbox(member.peer),
             }
-        });
-        let outboxes: Vec<_> = outboxes.collect();
+        }));
+        outboxes.shrink_to(2 * route.members.len());
         note_devices(&route, &outboxes);
         state.binary = all_binary(&outboxes);
         state.thins = thins(&route);

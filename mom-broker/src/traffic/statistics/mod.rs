@@ -40,21 +40,19 @@ impl Statistics {
         }
     }
 
-    /// Follows a change of the route: both lists are sorted by the numbers of the peers.
+    /// Follows a change of the route: both lists are sorted by the numbers of the peers. Those in front of the first change
+    /// stay where they are: a channel of thousands would be copied for each that comes, and the copies kept by the allocator.
     pub(crate) fn follow(&mut self, old: &Route, new: &Route) {
-        let members = std::mem::take(&mut self.members);
-        let mut known = old
-            .members
-            .iter()
-            .map(|member| member.peer)
-            .zip(members)
-            .peekable();
-        let counts = new.members.iter().map(|member| {
+        let same = new.same_front(old).min(self.members.len());
+        let rest = self.members.split_off(same);
+        let old = old.members[same..].iter().map(|member| member.peer);
+        let mut known = old.zip(rest).peekable();
+        self.members.extend(new.members[same..].iter().map(|member| {
             while known.next_if(|(peer, _)| *peer < member.peer).is_some() {}
             let found = known.next_if(|(peer, _)| *peer == member.peer);
             found.map(|(_, counts)| counts).unwrap_or_default()
-        });
-        self.members = counts.collect();
+        }));
+        self.members.shrink_to(2 * new.members.len());
     }
 
     /// Counts an admitted message of the member at this place; none = it has left meanwhile.
@@ -166,6 +164,32 @@ mod tests {
 
     use super::*;
     use crate::traffic::channel::tests::route;
+
+    /// Who comes last or leaves takes nothing from those in front, nor from those behind.
+    #[test]
+    fn statistics_stay_with_their_peers_as_one_comes_or_leaves() {
+        let delivered = |statistics: &Statistics| -> Vec<u64> {
+            let members = statistics.members().iter();
+            members.map(|counts| counts.delivered).collect()
+        };
+        let mut old = route(&[2, 4, 6]);
+        let mut statistics = Statistics::new(&old);
+        (0..3).for_each(|place| statistics.delivered(place, 1 + place as u64));
+        let changes: [(&[u64], &[u64]); 6] = [
+            (&[2, 4, 6, 9], &[1, 2, 3, 0]),
+            (&[2, 6, 9], &[1, 3, 0]),
+            (&[2, 4, 6, 9], &[1, 0, 3, 0]),
+            (&[2, 4, 6], &[1, 0, 3]),
+            (&[4, 6], &[0, 3]),
+            (&[], &[]),
+        ];
+        for (members, expected) in changes {
+            let new = route(members);
+            statistics.follow(&old, &new);
+            assert_eq!(delivered(&statistics), expected, "{members:?}");
+            old = new;
+        }
+    }
 
     #[test]
     fn statistics_stay_with_their_peers() {
