@@ -149,7 +149,8 @@ impl Effort {
                 time: Duration::from_millis(500),
                 ..full.crowd
             },
-            idle: 500,
+            // As many as in a whole run: what is left of joining weighs more on a few.
+            idle: 10_000,
             stop: SaturatedStop {
                 stops: 20,
                 ..full.stop
