@@ -30,6 +30,8 @@ pub struct Command {
     pub basis: Basis,
     /// ms after which it is worth nothing.
     pub expires: Option<u64>,
+    /// Whether it is never sent again, whatever is in its way.
+    pub once: bool,
     /// Whether it is sent when the device asks for it (`next`), and again when that did not begin it in time.
     pub pulls: bool,
 }
@@ -70,6 +72,12 @@ impl Command {
     pub fn expires(self, time: Duration) -> Command {
         let expires = u64::try_from(time.as_millis()).ok();
         Command { expires, ..self }
+    }
+
+    /// Never sent again, whatever is in its way.
+    #[must_use]
+    pub fn once(self) -> Command {
+        Command { once: true, ..self }
     }
 
     /// Sent when the device asks for it.
@@ -146,9 +154,13 @@ impl Commander {
         self.newest_state();
         self.course.at(self.now());
         let Command {
-            text, basis, pulls, ..
+            text,
+            basis,
+            pulls,
+            once,
+            ..
         } = &self.command;
-        self.course.begin(text, *basis, *pulls);
+        self.course.begin(text, *basis, *pulls, *once);
     }
 
     /// What happens next to the command that was begun; after its end it waits for ever. Cancel safe, but while the command is sent: it may
@@ -383,6 +395,13 @@ fn feed(course: &mut Course, state: &mut Option<Value>, event: &Event) {
             let lost = parcel.value();
             if let Some(peer) = lost.get("peer").and_then(Value::as_str) {
                 course.gone(peer, true);
+            }
+        }
+        Event::Other(parcel) if parcel.is(Family::Event, mom_client::event::DROPPED) => {
+            let dropped = parcel.value();
+            let word = |key: &str| dropped.get(key).and_then(Value::as_str);
+            if word("sender") == Some(course.me()) {
+                course.dropped(word("reason").unwrap_or_default(), word("receiver"));
             }
         }
         Event::LinkDown => course.link_down(),

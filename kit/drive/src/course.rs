@@ -2,15 +2,16 @@
 //!
 //! `tests/cases/commander.txt` says as dialogues what it does; the clients in Python and JavaScript replay them too.
 
+mod ending;
 mod wait;
 
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use mom_client::{Lost, Path, WireError};
+use mom_client::{Path, WireError};
 
 use self::wait::Wait;
-use crate::end::{CommandEnd, Halt, How, Whose};
+use crate::end::{Halt, How, Whose};
 use crate::heard::{Report, StateNews};
 use crate::insist::TIMES;
 use crate::step::{Basis, Progress, Step};
@@ -47,6 +48,8 @@ pub(crate) struct Course {
     text: String,
     basis: Basis,
     pulls: bool,
+    /// Whether it is never sent again.
+    once: bool,
     /// When what is in the way was first met, by its name.
     since: Option<(String, u64)>,
     ids: Vec<u64>,
@@ -56,6 +59,12 @@ pub(crate) struct Course {
     wait: Wait,
     /// Whether it was sent, and no end of it was heard.
     runs: bool,
+    /// Whether the device has said anything of it, and that it has begun it; and who said so first.
+    reported: bool,
+    begun: bool,
+    worker: Option<String>,
+    /// When it was sent last.
+    sent_at: u64,
     device: Option<String>,
     state: Option<StateNews>,
     now: u64,
@@ -71,12 +80,17 @@ impl Course {
             text: String::new(),
             basis: Basis::Nothing,
             pulls: false,
+            once: false,
             since: None,
             ids: Vec::new(),
             left: VecDeque::new(),
             early: VecDeque::new(),
             wait: Wait::Nothing,
             runs: false,
+            reported: false,
+            begun: false,
+            worker: None,
+            sent_at: 0,
             device: None,
             state: None,
             now: 0,
@@ -98,6 +112,11 @@ impl Course {
             self.wait,
             Wait::Nothing | Wait::Release { .. } | Wait::Ended { .. }
         )
+    }
+
+    /// This peer's name.
+    pub(crate) fn me(&self) -> &str {
+        &self.me
     }
 
     /// The device's peer, once it has said something.
@@ -176,15 +195,16 @@ impl Course {
     }
 
     /// A command is to be carried out. One before that has not ended goes on.
-    pub(crate) fn begin(&mut self, text: &str, basis: Basis, pulls: bool) {
+    pub(crate) fn begin(&mut self, text: &str, basis: Basis, pulls: bool, once: bool) {
         text.clone_into(&mut self.text);
-        (self.basis, self.pulls, self.since) = (basis, pulls, None);
+        (self.basis, self.pulls, self.once, self.since) = (basis, pulls, once, None);
         if self.runs {
             self.left.extend(self.ids.drain(..));
             let most = self.left.len().saturating_sub(EARLY);
             self.left.drain(..most);
         }
-        self.runs = false;
+        (self.runs, self.reported, self.begun) = (false, false, false);
+        self.worker = None;
         self.steps.clear();
         self.begin_again();
     }
@@ -222,6 +242,7 @@ impl Course {
         };
         // From here on it may run, whether or not its receipt comes.
         self.runs = true;
+        self.sent_at = self.now;
         self.early.clear();
         self.wait = Wait::Receipt {
             until: self.now + RECEIPT,
@@ -306,7 +327,12 @@ impl Course {
         if !is_old {
             self.hears_device(by);
         }
+        // What is stopped and rests has ended what it did.
+        let obeys = !is_old && news.stopped && !news.moving;
         self.state = Some(news);
+        if obeys && matches!(self.wait, Wait::Ended { stops: 1.., .. }) {
+            return self.has_ended();
+        }
         self.is_based();
         if is_old {
             return;
@@ -319,7 +345,9 @@ impl Course {
             Some("link") => state.linked,
             _ => return,
         };
+        let soon = self.sent_at + SOON;
         match passed {
+            true if self.now < soon => *again = Some(soon),
             true => self.begin_again(),
             false => *again = None,
         }
@@ -337,13 +365,48 @@ impl Course {
         if report.peer != self.me || report.fence.is_some_and(|fence| fence != self.fence) {
             return;
         }
+        // Where several devices are, it is the one's that has answered.
+        if self
+            .worker
+            .as_deref()
+            .is_some_and(|worker| by.is_some_and(|by| by != worker))
+        {
+            return;
+        }
         self.hears_device(by);
+        if report.id.is_some_and(|id| self.ids.contains(&id)) {
+            self.worker = by.map(str::to_owned);
+        }
         self.report(report);
+    }
+
+    /// The hub has dropped a message of ours on its way to a device, for this reason.
+    pub(crate) fn dropped(&mut self, reason: &str, receiver: Option<&str>) {
+        let is_other = |device: &str| receiver.is_some_and(|receiver| receiver != device);
+        if self.reported || !self.runs || self.device.as_deref().is_some_and(is_other) {
+            return;
+        }
+        match &self.wait {
+            Wait::Answer { .. } => {
+                self.runs = false;
+                self.ask(How::Dropped(reason.to_owned()));
+            }
+            Wait::Loss { lost, .. } => {
+                let lost = lost.clone();
+                self.runs = false;
+                self.end(How::Lost { lost, ended: None });
+            }
+            Wait::Release { .. } => self.runs = false,
+            Wait::Ended { .. } if self.left.is_empty() => self.has_ended(),
+            _ => {}
+        }
     }
 
     fn report(&mut self, report: Report) {
         let is_this = report.id.is_some_and(|id| self.ids.contains(&id));
         let was_left = report.id.is_some_and(|id| self.left.contains(&id));
+        self.reported |= is_this;
+        self.begun |= is_this && report.has_begun();
         if was_left && report.is_end() {
             self.left.retain(|id| Some(*id) != report.id);
         }
@@ -371,6 +434,8 @@ impl Course {
             {
                 self.comes(report);
             }
+            // It has begun all the same.
+            Wait::Obstacle { .. } if is_this && !report.is_end() && self.begun => self.comes(report),
             // It was given up.
             Wait::Nothing if is_this && report.is_end() => self.runs = false,
             _ => {}
@@ -406,7 +471,7 @@ impl Course {
     /// The device does not carry it out; unless what is in the way passes.
     fn fails(&mut self, report: Report) {
         let name = report.error_name().unwrap_or_default().to_owned();
-        if self.pulls && report.was_too_late() {
+        if self.pulls && report.was_too_late() && !self.begun {
             // Of those that it was given, at most one is ever begun, and none that came before one that it has answered.
             let before = self.ids.iter().position(|id| Some(*id) == report.id);
             self.ids.drain(..before.map_or(0, |before| before + 1));
@@ -428,7 +493,8 @@ impl Course {
             "too-old" => MEASURED,
             _ => return self.ask(How::Failed(report)),
         };
-        if !report.may_retry() || self.pulls {
+        // What may have begun is never said twice.
+        if !report.may_retry() || self.pulls || self.once || self.begun {
             return self.ask(How::Failed(report));
         }
         let since = match &self.since {
@@ -448,141 +514,6 @@ impl Course {
             until: since + patience,
             again,
         };
-    }
-
-    /// A device that was halted because the token is lost may say so before the hub does.
-    fn ask(&mut self, end: How) {
-        self.steps.push_back(Step::Ask);
-        self.wait = Wait::Asked {
-            until: self.now + ANSWER,
-            end,
-        };
-    }
-
-    /// The hub has answered, after all that it had to say before.
-    pub(crate) fn asked(&mut self) {
-        match std::mem::replace(&mut self.wait, Wait::Nothing) {
-            Wait::Asked { end, .. } => self.end(end),
-            other => self.wait = other,
-        }
-    }
-
-    /// The token is lost, and the hub halts the device.
-    pub(crate) fn lost(&mut self, lost: Lost) {
-        // Nobody would be heard.
-        if lost.reason == "disconnected" {
-            return self.link_down();
-        }
-        match &self.wait {
-            Wait::Nothing | Wait::Release { .. } | Wait::Ended { .. } | Wait::Loss { .. } => {}
-            Wait::Asked {
-                end: How::Failed(_), ..
-            } if self.left.is_empty() => self.end(How::Lost {
-                lost,
-                ended: Some(true),
-            }),
-            _ if !self.may_run() => self.end(How::Lost { lost, ended: None }),
-            _ => {
-                let until = self.now + HALTED_MS;
-                let ended = self.ended_early();
-                self.wait = Wait::Loss { until, lost };
-                if ended {
-                    self.has_ended();
-                }
-            }
-        }
-    }
-
-    /// A peer has left, or the hub misses it.
-    pub(crate) fn gone(&mut self, peer: &str, missed: bool) {
-        if self.device.as_deref() == Some(peer) {
-            let device = peer.to_owned();
-            self.breaks(How::Gone { device, missed });
-        }
-    }
-
-    /// The link to the hub is down.
-    pub(crate) fn link_down(&mut self) {
-        self.breaks(How::Disconnected);
-    }
-
-    /// So many events were lost.
-    pub(crate) fn lagged(&mut self, count: u64) {
-        self.breaks(How::Lagged(count));
-    }
-
-    fn breaks(&mut self, end: How) {
-        match &self.wait {
-            // What it says may come all the same, or nobody knows soon enough.
-            Wait::Nothing | Wait::Release { .. } | Wait::Ended { .. } | Wait::Loss { .. } => {}
-            _ => self.end(end),
-        }
-    }
-
-    /// Ends the work: the token is given back, and the device heard to have ended what runs.
-    pub(crate) fn cancel(&mut self) {
-        self.steps.clear();
-        self.steps.push_back(Step::Release);
-        self.runs &= !self.ended_early();
-        let patience = if self.may_run() { RELEASED } else { ANSWER };
-        self.wait = Wait::Release {
-            until: self.now + patience,
-        };
-    }
-
-    /// The hub has the token back, or has refused it.
-    pub(crate) fn released(&mut self) {
-        if !matches!(self.wait, Wait::Release { .. }) {
-            return;
-        }
-        match self.may_run() {
-            true => {
-                let until = self.now + HALTED_MS;
-                self.wait = Wait::Ended { until, stops: 0 };
-            }
-            false => self.halted(Halt::Confirmed),
-        }
-    }
-
-    /// Whether something may run that was commanded here.
-    fn may_run(&self) -> bool {
-        self.runs || !self.left.is_empty()
-    }
-
-    /// Whether the device has said before the receipt that a command has ended.
-    fn ended_early(&self) -> bool {
-        self.ids.is_empty() && self.early.iter().any(Report::is_end)
-    }
-
-    /// What runs has ended.
-    pub(crate) fn has_ended(&mut self) {
-        self.runs = false;
-        self.left.clear();
-        match std::mem::replace(&mut self.wait, Wait::Nothing) {
-            Wait::Ended { stops: 0, .. } => self.halted(Halt::Confirmed),
-            Wait::Ended { .. } => self.halted(Halt::Stopped),
-            Wait::Loss { lost, .. } => self.end(How::Lost {
-                lost,
-                ended: Some(true),
-            }),
-            other => self.wait = other,
-        }
-    }
-
-    fn halted(&mut self, halt: Halt) {
-        self.wait = Wait::Nothing;
-        self.steps.push_back(Step::Halted(halt));
-    }
-
-    fn end(&mut self, how: How) {
-        self.wait = Wait::Nothing;
-        let end = CommandEnd::new(how, &self.whose, &self.text, self.runs);
-        // The device is another owner's by then, whom a stop would meet.
-        if matches!(end.how, How::Lost { .. }) {
-            self.runs = false;
-            self.left.clear();
-        }
-        self.steps.push_back(Step::End(end));
     }
 }
 

@@ -15,6 +15,8 @@ pub enum How {
     Failed(Report),
     /// The hub has refused it.
     Refused(WireError),
+    /// The hub has dropped it on its way to the device; the reason.
+    Dropped(String),
     /// The hub has not said whether it has it; why.
     Unanswered(String),
     /// No device answers.
@@ -53,6 +55,37 @@ pub struct CommandEnd {
     pub text: String,
     /// What to do, where something can be done.
     pub hint: Option<String>,
+    /// What the device's error is called, as one may show it.
+    error: String,
+}
+
+/// The longest name of an error that is told, characters.
+const NAME: usize = 64;
+/// What a device's error may not be called: these are words of the commander's own.
+const OWN: [&str; 10] = [
+    "finished",
+    "error",
+    "dropped",
+    "unanswered",
+    "no-answer",
+    "silent",
+    "gone",
+    "disconnected",
+    "lagged",
+    "lost",
+];
+
+/// What the error of a report is called, as one may show it.
+fn error_of(how: &How) -> String {
+    let name = match how {
+        How::Failed(report) => report.error_name().unwrap_or_default(),
+        _ => "",
+    };
+    let name: String = visible(name).chars().take(NAME).collect();
+    match name.is_empty() || OWN.contains(&name.as_str()) {
+        true => "error".to_owned(),
+        false => name,
+    }
 }
 
 /// What is commanded.
@@ -82,7 +115,13 @@ impl Whose {
 impl CommandEnd {
     pub(crate) fn new(how: How, whose: &Whose, command: &str, runs: bool) -> CommandEnd {
         let (text, hint) = words(&how, whose, command, runs);
-        CommandEnd { how, text, hint }
+        let error = error_of(&how);
+        CommandEnd {
+            how,
+            text,
+            hint,
+            error,
+        }
     }
 
     /// Whether it was carried out.
@@ -96,8 +135,9 @@ impl CommandEnd {
     pub fn name(&self) -> &str {
         match &self.how {
             How::Finished(_) => "finished",
-            How::Failed(report) => report.error_name().unwrap_or("error"),
+            How::Failed(_) => &self.error,
             How::Refused(error) => error.code.word(),
+            How::Dropped(_) => "dropped",
             How::Unanswered(_) => "unanswered",
             How::NoAnswer | How::AsksNothing => "no-answer",
             How::Silent => "silent",
@@ -158,6 +198,13 @@ fn words(how: &How, whose: &Whose, command: &str, runs: bool) -> (String, Option
             (report.error_words(), hint)
         }
         How::Refused(error) => (format!("send {command:?} to {place}: {error}"), None),
+        How::Dropped(reason) => (
+            format!(
+                "send {command:?} to {place}: the hub dropped it on its way: {}{NOTHING}",
+                visible(reason)
+            ),
+            None,
+        ),
         How::Unanswered(why) => (
             format!("send {command:?} to {place}: {why}{unknown}"),
             Some(whose.look_or_stop()),
@@ -181,15 +228,9 @@ fn words(how: &How, whose: &Whose, command: &str, runs: bool) -> (String, Option
             };
             (format!("{gone}{unknown}"), Some(whose.around()))
         }
-        How::Disconnected if runs => (
-            format!(
-                "the connection to the hub is lost, and the token with it: the hub halts the device in {place}"
-            ),
-            Some(format!("see what it did: mom watch {place}")),
-        ),
         How::Disconnected => (
-            format!("the connection to the hub is lost, and the token with it{NOTHING}"),
-            None,
+            format!("the connection to the hub is lost, and the token with it{unknown}"),
+            runs.then(|| format!("see what it did: mom watch {place}")),
         ),
         How::Lagged(count) => (
             format!(
@@ -270,7 +311,8 @@ impl Halt {
             )),
             Halt::Silent => Err(VerbFailure::new(
                 format!(
-                    "the device in {device} has not said that it has ended its command, neither to the hub's halt nor to {TIMES} stops"
+                    "the device in {device} has not said that it has ended its command, though the hub was asked to halt it, and {TIMES} \
+                     times to stop it"
                 ),
                 "go and look; switch it off where it moves",
             )),

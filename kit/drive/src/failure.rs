@@ -68,8 +68,14 @@ impl VerbFailure {
         let text = format!("{self}; {other}");
         match self {
             VerbFailure::Io(_) => self,
-            VerbFailure::Failed { hint, .. } => VerbFailure::Failed { text, hint },
-            VerbFailure::Hub { .. } | VerbFailure::Refused { .. } => VerbFailure::plain(text),
+            VerbFailure::Failed { hint, .. } => VerbFailure::Failed {
+                text,
+                hint: hint.or_else(|| other.hint().map(str::to_owned)),
+            },
+            VerbFailure::Hub { .. } | VerbFailure::Refused { .. } => VerbFailure::Failed {
+                text,
+                hint: other.hint().map(str::to_owned),
+            },
         }
     }
 }

@@ -10,6 +10,8 @@ pub struct StateNews {
     pub id: Option<u64>,
     /// Whether it moves, or may do so.
     pub moving: bool,
+    /// Whether it is stopped.
+    pub stopped: bool,
     /// Whether its mechanism is in reach.
     pub linked: bool,
     /// The newest fence that it has heard of; none of one that says nothing of fences.
@@ -20,6 +22,8 @@ pub struct StateNews {
 struct StateContent {
     #[serde(default)]
     moving: bool,
+    #[serde(default)]
+    stopped: bool,
     #[serde(default = "yes")]
     linked: bool,
     #[serde(default = "yes")]
@@ -39,6 +43,7 @@ impl StateNews {
         Some(StateNews {
             id: parcel.id,
             moving: content.moving,
+            stopped: content.stopped,
             linked: content.linked && content.reached,
             fence: content.fence,
         })
@@ -97,6 +102,11 @@ impl Report {
     #[must_use]
     pub fn error_name(&self) -> Option<&str> {
         self.detail("name").and_then(Value::as_str)
+    }
+
+    /// Whether the device has begun the command by it.
+    pub(crate) fn has_begun(&self) -> bool {
+        self.statement > 0 || self.state == "executing"
     }
 
     /// Whether the device has not begun it, as it came or waited too long.

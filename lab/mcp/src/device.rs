@@ -40,6 +40,9 @@ pub(crate) struct DeviceState {
     linked: bool,
     #[serde(default = "yes")]
     reached: bool,
+    /// The newest fence of its token that it has heard of.
+    #[serde(default)]
+    fence: Option<u64>,
     #[serde(skip)]
     content: Value,
 }
@@ -54,6 +57,11 @@ impl DeviceState {
         let content = parcel.value();
         let state: DeviceState = from_value(content.clone()).ok()?;
         Some(DeviceState { content, ..state })
+    }
+
+    /// Whether it takes commands of the owner with this fence; one that knows no fence does so at once.
+    pub(crate) fn is_under(&self, fence: u64) -> bool {
+        self.fence.is_none_or(|stood| stood >= fence)
     }
 
     /// Whether it hears of its mechanism.

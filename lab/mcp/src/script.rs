@@ -1,5 +1,7 @@
 //! A script under the token: sent, followed, and ended before its own end where it has to be.
 
+use std::time::Duration;
+
 use mom_client::{Card, Lost, TokenGuard, visible};
 use mom_drive::{
     Basis, Command, CommandEnd, Commander, Doing as _, Halt, How, Next, Progress as Step, Report, VerbFailure,
@@ -11,6 +13,8 @@ use crate::assistant::Assistant;
 use crate::device::fastest;
 use crate::progress::Progress;
 
+/// So long the robot may take to stand under a new owner.
+const HANDS: Duration = Duration::from_secs(5);
 /// mm/s and degrees/s of a velocity under a token that came without a scope.
 const FASTEST: f64 = 100.0;
 
@@ -76,8 +80,17 @@ pub(crate) async fn carry_out(
             return End::Unsent(Answer::bad("stale-state", text));
         }
     };
+    // What comes while the robot still halts for its last owner is refused, and nothing is tried a second time.
+    let stands = assistant.robot_state_when(HANDS, |state| state.is_under(fence));
+    tokio::select! {
+        biased;
+        lost = guard.lost() => return End::Lost(lost),
+        why = assistant.over(fence) => return End::Over(why),
+        () = progress.cancelled() => return End::Cancelled,
+        _stands = stands => {}
+    }
     let commander = runs.insert(Commander::new(assistant.robot.clone(), fence));
-    commander.begin(Command::from(script).based_on(basis));
+    commander.begin(Command::from(script).based_on(basis).once());
     loop {
         tokio::select! {
             biased;

@@ -366,7 +366,7 @@ impl Loan<'_, '_> {
     fn verdict(&self) -> Result<(), VerbFailure> {
         let last = self.last.as_ref().filter(|(report, _)| report.is_last());
         match last.map(|(report, _)| report) {
-            Some(report) if report.state == "aligned" => Ok(()),
+            Some(report) if report.state == "done" => Ok(()),
             Some(report) => {
                 let text = report.text.clone().unwrap_or_default();
                 Err(VerbFailure::plain(format!("{text}; the token is released")))

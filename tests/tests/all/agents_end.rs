@@ -128,7 +128,7 @@ async fn a_device_that_does_not_end_a_command_is_halted_then_stopped_three_times
     assert!(
         failure
             .to_string()
-            .contains("neither to the hub's halt nor to 3 stops"),
+            .contains("though the hub was asked to halt it, and 3 times to stop it"),
         "{failure}"
     );
     hears(&mut heard, "halt").await;
@@ -211,7 +211,7 @@ async fn the_limit_of_time_tells_of_an_arm_that_does_not_answer() {
     let (answer, _took) = moves_for_a_second(&hub, "home").await;
     let said = text(&answer);
     assert!(
-        said.contains("neither to the hub's halt nor to 3 stops"),
+        said.contains("though the hub was asked to halt it, and 3 times to stop it"),
         "{said}"
     );
     assert!(said.contains("tell a person at once"), "{said}");

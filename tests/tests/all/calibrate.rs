@@ -272,11 +272,7 @@ async fn an_agent_calibrates_for_whoever_lends_it_the_token() {
             _ => break told,
         }
     };
-    assert_eq!(
-        (word(&last, "state").as_str(), poses),
-        ("calibrated", 8),
-        "{last:?}"
-    );
+    assert_eq!((word(&last, "state").as_str(), poses), ("done", 8), "{last:?}");
     let back = timeout(PATIENCE, given.returned()).await;
     back.expect("the token returns").expect("to bob");
     let calibrated = &lab.snap(&folder).await["calibrated"];

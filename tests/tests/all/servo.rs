@@ -65,7 +65,7 @@ async fn a_block_is_put_beside_another_and_the_token_returns() {
     let bob = join(&hub, "bob").await;
     let running = servo(&hub, &["red", "green", "--commands", "80"]).await;
     let (running, first) = report(running, "\"approaching\"").await;
-    assert_eq!(first["peer"], "alice", "{first}");
+    assert_eq!(first["by"], "alice", "{first}");
     assert_eq!(owner(&bob).await.as_deref(), Some("servo"));
     // Who asks meanwhile is told for whom it works, and cancels nothing.
     let channel = bob.channel("/servo").await.expect("people may");
@@ -92,7 +92,7 @@ async fn a_block_is_put_beside_another_and_the_token_returns() {
     );
     assert_eq!(refusals[1], "the task is alice's; only alice cancels it");
 
-    let (running, last) = report(running, "\"aligned\"").await;
+    let (running, last) = report(running, "\"done\"").await;
     assert_eq!(code(running).await, Some(0), "{last}");
     assert!(last["mm"].as_f64().expect("told") <= 3.0, "{last}");
     assert_eq!((owner(&bob).await, last["first"].as_str()), (None, Some("table")));

@@ -84,6 +84,7 @@ const ARROWS: &[(&str, May)] = &[
     ),
     ("mom-vision", May::Use(&[])),
     ("mom-drive", May::Use(&["mom-client"])),
+    ("mom-agent", May::Use(&["mom-client", "mom-drive"])),
     (
         "mom-cubo",
         May::Use(&["mom-rsp", "mom-sound", "mom-trace", "mom-wheels", "mom-pages"]),
@@ -135,7 +136,7 @@ const ARROWS: &[(&str, May)] = &[
     ),
     (
         "mom-calibrate",
-        May::Use(&["mom-client", "mom-drive", "mom-pages", "mom-vision"]),
+        May::Use(&["mom-agent", "mom-client", "mom-drive", "mom-pages", "mom-vision"]),
     ),
     (
         "mom-mcp",
@@ -144,6 +145,7 @@ const ARROWS: &[(&str, May)] = &[
     (
         "mom-servo",
         May::Use(&[
+            "mom-agent",
             "mom-client",
             "mom-drive",
             "mom-nearest",

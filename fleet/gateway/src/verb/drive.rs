@@ -6,9 +6,7 @@ use std::pin::pin;
 use std::task::Poll;
 
 use mom_client::{Client, Lost, Map, TokenGuard};
-use mom_drive::{
-    Command, Commander, DeviceChannel, Doing as _, Halt, How, Tell, VerbFailure, both, lost_words,
-};
+use mom_drive::{Command, Commander, DeviceChannel, Doing as _, How, Tell, VerbFailure, both, lost_words};
 use serde_json::json;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
@@ -264,14 +262,11 @@ impl Held {
         for (unit, mut robot) in robots {
             let lost = lost.clone().filter(|(token, _)| of.get(&unit) == Some(token));
             hearing.spawn(async move {
-                let place = robot.channel().path().to_string();
                 match lost {
                     // The hub has halted it, and another peer may drive it by now.
-                    Some((_, lost)) => match robot.lost(&lost).await.map(|end| end.how) {
-                        Some(How::Lost {
-                            ended: Some(false), ..
-                        }) => Halt::Silent.verdict(&place),
-                        _ => Ok(()),
+                    Some((_, lost)) => match robot.lost(&lost).await {
+                        Some(end) => end.done(),
+                        None => Ok(()),
                     },
                     None => robot.end(ready(Ok(()))).await,
                 }

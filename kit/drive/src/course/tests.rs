@@ -18,6 +18,8 @@ struct Stage {
     course: Course,
     now: u64,
     says: Vec<String>,
+    /// Which device speaks.
+    by: &'static str,
 }
 
 impl Stage {
@@ -30,6 +32,7 @@ impl Stage {
             course: Course::new("alice".to_owned(), whose, 5),
             now: 0,
             says: Vec::new(),
+            by: "robot",
         }
     }
 
@@ -40,14 +43,16 @@ impl Stage {
             && let Some(command) = head.strip_prefix("command").or_else(|| head.strip_prefix("pull"))
         {
             let basis = match command.trim() {
-                "" => Basis::Nothing,
+                "" | "once" => Basis::Nothing,
                 "relative" => Basis::Newest,
                 on => Basis::State(on.trim_start_matches("on ").parse().expect(line)),
             };
-            self.course.begin(text, basis, head == "pull");
+            self.course
+                .begin(text, basis, head == "pull", head == "command once");
             return self.gather();
         }
-        match words[..] {
+        self.by = if words[0] == "other" { "other" } else { "robot" };
+        match words[usize::from(self.by == "other")..] {
             ["after", ms] => self.pass(ms.parse().expect(line)),
             ["sent", id] => self.course.sent(Some(id.parse().expect(line))),
             ["nobody"] => self.course.sent(None),
@@ -56,10 +61,11 @@ impl Stage {
                 .course
                 .unanswered(line.split_once(' ').expect(line).1.to_owned()),
             ["old", "state", ..] => self.state(&words[2..], true),
-            ["state", ..] => self.state(&words[1..], false),
+            ["state", ..] => self.state(&words[usize::from(self.by == "other") + 1..], false),
             // Who feeds a course leaves old reports out.
             ["old", "status", ..] => {}
-            ["status", ..] => self.status(&words[1..]),
+            ["status", ..] => self.status(&words[usize::from(self.by == "other") + 1..]),
+            ["dropped", reason, ref by @ ..] => self.course.dropped(reason, by.last().copied()),
             ["next", id] => self.course.asks(id.parse().expect(line)),
             [peer, "leaves"] => self.course.gone(peer, false),
             [peer, "is", "lost"] => self.course.gone(peer, true),
@@ -85,10 +91,11 @@ impl Stage {
         let news = StateNews {
             id: words[0].parse().ok(),
             moving: words.contains(&"moving"),
+            stopped: words.contains(&"stopped"),
             linked: !words.contains(&"unlinked"),
             fence: fence.map(|place| words[place + 1].parse().expect("a fence")),
         };
-        self.course.state_told(news, Some("robot"), is_old);
+        self.course.state_told(news, Some(self.by), is_old);
     }
 
     fn status(&mut self, words: &[&str]) {
@@ -121,7 +128,7 @@ impl Stage {
             of: of.parse().expect("statements"),
             error,
         };
-        self.course.reported(report, Some("robot"));
+        self.course.reported(report, Some(self.by));
     }
 
     /// Time passes, and the course is woken whenever it asked to be.

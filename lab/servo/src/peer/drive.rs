@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use mom_agent::Hired;
 use mom_client::{Channel, Client, Event, Events, Family, Parcel, Value, from_value};
 use mom_drive::{
     DeviceChannel, Holding, Report as CommandReport, RobotState, VerbFailure, both, closed, halt,
@@ -12,14 +13,12 @@ use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::task::block_in_place;
 use tokio::time::{Instant, sleep};
 
-use super::Order;
 use super::report::Report;
-use super::say;
 use super::watch::Eyes;
 use crate::Micros;
 use crate::control::{Action, Phase, STOOD_STILL, Servo};
 use crate::eyes::Seen;
-use crate::task::NAMES;
+use crate::task::{NAMES, Task};
 
 /// How often the controller is asked, at least.
 const TICK: Duration = Duration::from_millis(40);
@@ -38,8 +37,7 @@ const SAME: Micros = 100_000;
 
 /// Where the controller's inputs come from and its commands go.
 pub(super) struct Links {
-    pub(super) client: Client,
-    pub(super) channel: Channel,
+    pub(super) hired: Hired<Task>,
     pub(super) arm: Channel,
     pub(super) events: Events,
     pub(super) seen: Eyes,
@@ -48,7 +46,6 @@ pub(super) struct Links {
 /// The work under the token.
 pub(super) struct Drive {
     links: Links,
-    order: Order,
     servo: Servo,
     fence: u64,
     /// The id of the last command.
@@ -84,10 +81,9 @@ pub(super) fn long<T>(work: impl FnOnce() -> T) -> T {
 
 impl Drive {
     /// `seq`: the number of the state in which the robot was when this began.
-    pub(super) fn new(links: Links, order: Order, servo: Servo, fence: u64, seq: i64) -> Drive {
+    pub(super) fn new(links: Links, servo: Servo, fence: u64, seq: i64) -> Drive {
         Drive {
             links,
-            order,
             servo,
             fence,
             id: 0,
@@ -113,11 +109,11 @@ impl Drive {
             while let Some(event) = self.links.events.try_next() {
                 self.note(&event)?;
             }
-            if let Some((_, error)) = self.links.client.clock().now() {
+            if let Some((_, error)) = self.links.hired.client.clock().now() {
                 let error = Micros::try_from(error.as_micros()).unwrap_or(Micros::MAX / 4);
                 self.servo.round_trip(2 * error);
             }
-            let now = hub_now(&self.links.client);
+            let now = hub_now(&self.links.hired.client);
             match long(|| self.servo.next(now)) {
                 Action::Command(command) => {
                     self.send(&command).await?;
@@ -145,7 +141,7 @@ impl Drive {
     }
 
     fn aligned(&self) -> String {
-        let task = &self.order.task;
+        let task = &self.links.hired.task;
         let off = self.servo.progress().miss.map_or(0.0, |miss| miss.level());
         format!(
             "{} stands at the {} of {}, {off:.1} mm off by the images",
@@ -155,7 +151,7 @@ impl Drive {
 
     async fn send(&mut self, command: &str) -> Result<(), VerbFailure> {
         // Its own ids, which the arm's reports refer to.
-        let now = u64::try_from(hub_now(&self.links.client)).unwrap_or(0);
+        let now = u64::try_from(hub_now(&self.links.hired.client)).unwrap_or(0);
         self.id = now.max(self.id + 1);
         self.numbers.insert(self.id, self.servo.progress().commands);
         while self.numbers.len() > MOST_NUMBERS {
@@ -171,7 +167,7 @@ impl Drive {
         parcel.fence = Some(self.fence);
         parcel.expires = Some(EXPIRES);
         parcel.echo = Some(false);
-        let sent = self.links.client.send(parcel).await;
+        let sent = self.links.hired.client.send(parcel).await;
         sent.map_err(|error| VerbFailure::Hub {
             what: format!("send {command:?}"),
             error,
@@ -188,7 +184,7 @@ impl Drive {
                     // A state that is told again, as to who comes or for a new owner, is not newer: cameras show it already.
                     if state.seq != self.seq {
                         self.seq = state.seq;
-                        self.stated = hub_now(&self.links.client) - self.age(parcel);
+                        self.stated = hub_now(&self.links.hired.client) - self.age(parcel);
                     }
                 }
             }
@@ -199,7 +195,7 @@ impl Drive {
             }
             Event::Refused(error, id) => {
                 self.over = self.over.max(id.unwrap_or(0));
-                let now = hub_now(&self.links.client);
+                let now = hub_now(&self.links.hired.client);
                 self.servo.refused(
                     "refused",
                     &format!("control: the hub refused a command: {}", error.text),
@@ -223,15 +219,15 @@ impl Drive {
     }
 
     fn age(&self, parcel: &Parcel) -> Micros {
-        let age = self.links.client.clock().age(parcel);
+        let age = self.links.hired.client.clock().age(parcel);
         age.map_or(0, |age| age.micros.max(0))
     }
 
     fn note_status(&mut self, status: &CommandReport, age: Micros) {
-        if status.peer != self.links.client.name() {
+        if status.peer != self.links.hired.client.name() {
             return;
         }
-        let now = hub_now(&self.links.client);
+        let now = hub_now(&self.links.hired.client);
         if status.is_end() {
             self.over = self.over.max(status.id.unwrap_or(0));
         }
@@ -281,23 +277,17 @@ impl Drive {
             .is_none_or(|(at, phase)| phase != progress.phase || at.elapsed() > TOLD);
         if due {
             self.told = Some((Instant::now(), progress.phase));
-            say(
-                &self.links.channel,
-                "progress",
-                self.report("working").to_map(),
-                None,
-            )
-            .await;
+            self.links.hired.tell(self.report("working").to_map()).await;
         }
     }
 
     fn report(&self, state: &str) -> Report {
-        let error = self.links.client.clock().now().map(|(_, error)| error);
+        let error = self.links.hired.client.clock().now().map(|(_, error)| error);
         let error = error.and_then(|error| i64::try_from(error.as_millis()).ok());
         Report::of(
-            &self.order.peer,
+            &self.links.hired.peer,
             state,
-            &self.order.task,
+            &self.links.hired.task,
             &self.servo.progress(),
             error,
         )
@@ -305,7 +295,7 @@ impl Drive {
 
     /// Gives the token back, so that the hub halts the robot, and hears that it stands: what was sent is over, and it does not move.
     pub(super) async fn end(mut self, holding: Holding) -> Result<(), VerbFailure> {
-        let device = DeviceChannel::join(&self.links.client, self.links.arm.path().as_str()).await?;
+        let device = DeviceChannel::join(&self.links.hired.client, self.links.arm.path().as_str()).await?;
         let stands = async {
             // What comes next is newer than what was sent.
             while self.moves || self.over < self.id {
@@ -321,11 +311,11 @@ impl Drive {
 
     /// The last report: why it ended, and where the first block is.
     pub(super) fn last(&mut self, state: &str, why: &str) -> Report {
-        self.servo.pass(hub_now(&self.links.client));
+        self.servo.pass(hub_now(&self.links.hired.client));
         let report = self.report(state);
         let place = report.text.clone().unwrap_or_default();
         let text = match state {
-            "aligned" => why.to_owned(),
+            "done" => why.to_owned(),
             _ => format!("{why}; {place}"),
         };
         Report {

@@ -2,19 +2,19 @@
 
 use std::time::Duration;
 
-use mom_client::{Channel, Client, Code, Event, Events, Token, WireError, from_value};
+use mom_agent::{Ended, Hired, Trade};
+use mom_client::{Channel, Client, Code, Event, Events, Token, Value, WireError, from_value};
 use mom_drive::{Holding, RobotState, VerbFailure, WorkEnd};
-use tokio::sync::watch as signal;
 use tokio::task::JoinSet;
-use tokio::time::{Instant, timeout, timeout_at};
+use tokio::time::{Instant, timeout_at};
 
 use super::drive::{Drive, Links, hub_now, long};
 use super::report::Report;
 use super::watch::Eyes;
-use super::{OFFERED, Order, ServoOptions, refuse, say, watch};
+use super::{ServoOptions, watch};
 use crate::control::{Hand, Servo, stands_high};
 use crate::eyes::Seen;
-use crate::task::NAMES;
+use crate::task::{NAMES, Task};
 use crate::track::Noise;
 
 /// How long is looked before a block counts as not there.
@@ -32,70 +32,44 @@ const NOISE: Noise = Noise {
 const WORKSPACE: [[f64; 2]; 3] = [[-300.0, 300.0], [-300.0, 300.0], [0.0, 450.0]];
 
 /// What a task needs, joined.
-struct Places {
+pub(super) struct Places {
     arm: Channel,
     events: Events,
-    token: Token,
-    offers: Events,
     seen: Eyes,
     /// They end with this.
     _eyes: JoinSet<()>,
 }
 
-/// Carries out an order, or refuses it.
-pub(super) async fn run(
-    client: Client,
-    channel: Channel,
-    options: ServoOptions,
-    order: Order,
-    cancelled: signal::Receiver<Option<String>>,
-) {
-    let ready = async {
-        let mut places = Places::join(&client, &options).await?;
-        places.check(&client, &options, &order).await?;
-        Ok::<_, WireError>(places)
-    };
-    let ready = tokio::select! {
-        ready = ready => ready,
-        why = wanted(cancelled.clone()) => Err(WireError::new(Code::TRY_LATER, why)),
-    };
-    let places = match ready {
-        Ok(places) => places,
-        Err(error) => {
-            tracing::info!(peer = order.peer, %error, "refused");
-            return refuse(&channel, &order.peer, order.id, "align-refused", &error).await;
-        }
-    };
-    let accepted = Report {
-        agent: Some(client.name()),
-        ..Report::new(&order.peer, "accepted")
-    };
-    say(
-        &channel,
-        "progress",
-        accepted.to_map(),
-        Some((&order.peer, order.id)),
-    )
-    .await;
-    let last = places.work(&client, &channel, &order, cancelled).await;
-    tracing::info!(
-        peer = order.peer,
-        state = last.state,
-        text = last.text,
-        "the task has ended"
-    );
-}
+/// Who puts one block beside another.
+pub(super) struct Aligner(pub(super) ServoOptions);
 
-/// Why the task is to end, once it is.
-async fn wanted(mut cancelled: signal::Receiver<Option<String>>) -> String {
-    match cancelled.wait_for(Option::is_some).await {
-        Ok(why) => why.clone().unwrap_or_default(),
-        Err(_) => "the agent ends".to_owned(),
+impl Trade for Aligner {
+    type Task = Task;
+    type Tools = Places;
+
+    const VERB: &'static str = "align";
+
+    fn read(&self, content: &Value) -> Result<Task, WireError> {
+        Task::read(content).map_err(|text| WireError::new(Code::BAD_CONTENT, text))
+    }
+
+    fn words(task: &Task) -> String {
+        format!("put {} beside {}", NAMES[task.first].0, NAMES[task.second].0)
+    }
+
+    async fn meet(&self, hired: &Hired<Task>) -> Result<(Places, Token), WireError> {
+        let (mut places, token) = Places::join(&hired.client, &self.0).await?;
+        places.check(&self.0, hired).await?;
+        Ok((places, token))
+    }
+
+    async fn work(&self, hired: &Hired<Task>, places: Places, holding: Holding) -> Ended {
+        places.work(hired, holding).await
     }
 }
 
 impl Places {
-    async fn join(client: &Client, options: &ServoOptions) -> Result<Places, WireError> {
+    async fn join(client: &Client, options: &ServoOptions) -> Result<(Places, Token), WireError> {
         let failed = |what: &str, error: &dyn std::fmt::Display| {
             WireError::new(Code::TRY_LATER, format!("the agent cannot join {what}: {error}"))
         };
@@ -113,23 +87,18 @@ impl Places {
                 Err(error) => tracing::warn!(%error, path, "a camera is left out"),
             }
         }
-        Ok(Places {
+        let places = Places {
             events: arm.events(),
-            offers: token.events(),
             arm,
-            token,
             seen,
             _eyes: eyes,
-        })
+        };
+        Ok((places, token))
     }
 
     /// Whether the task can be done, by what is seen now.
-    async fn check(
-        &mut self,
-        client: &Client,
-        options: &ServoOptions,
-        order: &Order,
-    ) -> Result<(), WireError> {
+    async fn check(&mut self, options: &ServoOptions, hired: &Hired<Task>) -> Result<(), WireError> {
+        let (client, task) = (&hired.client, &hired.task);
         let later = |text: String| WireError::new(Code::TRY_LATER, text);
         let state = self
             .state(false)
@@ -143,7 +112,7 @@ impl Places {
         if state.stopped {
             return Err(later(format!("the robot in {} is stopped", options.robot)));
         }
-        let mut servo = Servo::new(order.task.clone(), hand(&state), hub_now(client));
+        let mut servo = Servo::new(task.clone(), hand(&state), hub_now(client));
         let mut images: Vec<Option<Seen>> = vec![None; options.cameras.len()];
         let begin = Instant::now();
         loop {
@@ -168,7 +137,7 @@ impl Places {
             let paths = options.cameras.join(", ");
             return Err(later(format!("no camera shows an image with a matrix: {paths}")));
         }
-        for block in [order.task.first, order.task.second] {
+        for block in [task.first, task.second] {
             if let Some(height) = long(|| stands_high(&images, block)) {
                 let name = NAMES[block].0;
                 return Err(later(format!(
@@ -206,124 +175,79 @@ impl Places {
         newest.ok_or_else(|| VerbFailure::plain("the robot does not tell its state"))
     }
 
-    /// Takes the token, works, and gives it back.
-    async fn work(
-        mut self,
-        client: &Client,
-        channel: &Channel,
-        order: &Order,
-        cancelled: signal::Receiver<Option<String>>,
-    ) -> Report {
-        let me = client.name();
-        let offered = tokio::select! {
-            offered = self.offered(&me, &order.peer) => offered,
-            why = wanted(cancelled.clone()) => Err(("cancelled", why)),
-        };
-        let mut holding = match offered {
-            Ok(holding) => holding,
-            Err((state, why)) => {
-                let report = Report {
-                    text: Some(why),
-                    ..Report::new(&order.peer, state)
-                };
-                say(channel, "progress", report.to_map(), None).await;
-                return report;
-            }
-        };
+    /// Works under the token, and gives it back.
+    async fn work(mut self, hired: &Hired<Task>, mut holding: Holding) -> Ended {
         let state = tokio::select! {
             state = self.state(true) => state,
-            why = wanted(cancelled.clone()) => Err(VerbFailure::plain(why)),
+            why = hired.ends() => Err(VerbFailure::plain(why)),
         };
         let (work, mut drive) = match state {
             Ok(state) => {
-                let servo = Servo::new(order.task.clone(), hand(&state), hub_now(client)).expecting(NOISE);
+                let now = hub_now(&hired.client);
+                let servo = Servo::new(hired.task.clone(), hand(&state), now).expecting(NOISE);
                 let links = Links {
-                    client: client.clone(),
-                    channel: channel.clone(),
+                    hired: hired.clone(),
                     arm: self.arm.clone(),
                     events: self.events,
                     seen: self.seen,
                 };
-                let mut drive = Drive::new(links, order.clone(), servo, holding.fence(), state.seq);
+                let mut drive = Drive::new(links, servo, holding.fence(), state.seq);
                 let work = holding
-                    .during(async { drop(wanted(cancelled.clone()).await) }, drive.run())
+                    .during(async { drop(hired.ends().await) }, drive.run())
                     .await;
                 (work, Some(drive))
             }
             Err(failure) => (WorkEnd::Ended(Err(failure)), None),
         };
         let (state, why) = match work {
-            WorkEnd::Ended(Ok(words)) => ("aligned", words),
+            WorkEnd::Ended(Ok(words)) => ("done", words),
             WorkEnd::Ended(Err(failure)) => ("failed", failure.to_string()),
-            WorkEnd::Interrupted => ("cancelled", wanted(cancelled).await),
+            WorkEnd::Interrupted => ("cancelled", hired.ends().await),
             WorkEnd::Lost(lost) => ("lost", holding.lost_words(&lost)),
         };
         let report = match &mut drive {
             Some(drive) => drive.last(state, &why),
             None => Report {
                 text: Some(why),
-                ..Report::new(&order.peer, state)
+                ..Report::new(&hired.peer, state)
             },
         };
-        give_back(channel, drive, holding, report).await
-    }
-
-    /// The token, once the peer of the task offers it.
-    async fn offered(&mut self, me: &str, peer: &str) -> Result<Holding, (&'static str, String)> {
-        let until = Instant::now() + OFFERED;
-        loop {
-            let Ok(event) = timeout_at(until, self.offers.next()).await else {
-                let text = format!("{peer} did not offer the token within {} s", OFFERED.as_secs());
-                return Err(("failed", text));
-            };
-            match event {
-                Some(Event::Offer { by, to, .. }) if to == me && by == peer => {
-                    let accepted = Holding::accept(self.token.clone()).await;
-                    return accepted.map_err(|error| ("failed", error.to_string()));
-                }
-                Some(Event::Offer { by, to, .. }) if to == me => {
-                    tracing::info!(by, "an offer without a task is declined");
-                    let declined = timeout(LOOK, self.token.decline()).await;
-                    if let Ok(Err(error)) = declined {
-                        tracing::warn!(%error, "an offer was not declined");
-                    }
-                }
-                Some(_) => {}
-                None => return Err(("failed", "the connection to the hub is closed".to_owned())),
-            }
-        }
+        give_back(hired, drive, holding, state, report).await
     }
 }
 
-/// Gives the token back, hears how the robot takes that, and says both; gives the last report.
-async fn give_back(channel: &Channel, drive: Option<Drive>, holding: Holding, report: Report) -> Report {
+/// Gives the token back, and hears how the robot takes that; the end of the task.
+async fn give_back(
+    hired: &Hired<Task>,
+    drive: Option<Drive>,
+    holding: Holding,
+    state: &'static str,
+    report: Report,
+) -> Ended {
     // Before the token returns, so that its next owner knows.
     let ending = Report {
         state: "ending".to_owned(),
         ..report.clone()
     };
-    say(channel, "progress", ending.to_map(), None).await;
+    hired.tell(ending.to_map()).await;
     let ended = match drive {
         Some(drive) => drive.end(holding).await,
         None => holding.release().await,
     };
-    let report = match ended {
-        Ok(()) => report,
+    let text = report.text.clone().unwrap_or_default();
+    let (state, text) = match ended {
+        Ok(()) => (state, text),
         // People near the robot have to know.
-        Err(failure) => {
-            let state = match report.state.as_str() {
-                "aligned" => "failed",
-                state => state,
-            };
-            Report {
-                text: Some(format!("{}; {failure}", report.text.clone().unwrap_or_default())),
-                state: state.to_owned(),
-                ..report
-            }
-        }
+        Err(failure) => (
+            if state == "done" { "failed" } else { state },
+            format!("{text}; {failure}"),
+        ),
     };
-    say(channel, "progress", report.to_map(), None).await;
-    report
+    Ended {
+        state,
+        text,
+        more: report.facts(),
+    }
 }
 
 /// What of the arm's state no image shows.

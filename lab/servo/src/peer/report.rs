@@ -12,7 +12,7 @@ use crate::task::{NAMES, Task};
 /// use mom_client::{Map, from_value};
 /// use mom_servo::peer::report::Report;
 ///
-/// let content = Map::new().with("peer", "alice").with("state", "accepted").with("agent", "servo");
+/// let content = Map::new().with("by", "alice").with("state", "accepted").with("agent", "servo");
 /// let report: Report = from_value(content.into())?;
 /// assert_eq!((report.state.as_str(), report.phase), ("accepted", None));
 /// # Ok::<(), mom_client::WireError>(())
@@ -20,8 +20,9 @@ use crate::task::{NAMES, Task};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// Whose task it is.
+    #[serde(rename = "by")]
     pub peer: String,
-    /// `accepted`, `working`, `ending`, and at last `aligned`, `failed`, `cancelled` or `lost`: when the robot has said that it stands, or
+    /// `accepted`, `working`, `ending`, and at last `done`, `failed`, `cancelled` or `lost`: when the robot has said that it stands, or
     /// has not said so for 4 s.
     pub state: String,
     /// To whom the token is to be given.
@@ -136,6 +137,16 @@ impl Report {
             // A struct is a map, and all of these have a form on the wire.
             _ => Map::new().with("state", self.state.as_str()),
         }
+    }
+
+    /// What it tells beside whose task it is, its state and its text.
+    #[must_use]
+    pub fn facts(&self) -> Map {
+        let mut facts = self.to_map();
+        for key in ["by", "state", "text"] {
+            facts.remove(key);
+        }
+        facts
     }
 
     /// Whether nothing follows.

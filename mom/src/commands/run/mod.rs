@@ -112,9 +112,7 @@ async fn end(ended: Ended, commander: &mut Commander, guard: TokenGuard) -> Resu
             return Err(end.map_or_else(lost, Failure::from));
         }
         Ended::ByItself(result) => result,
-        Ended::Interrupted => Err(Failure::plain(
-            "interrupted; the token is released, and nothing runs any more",
-        )),
+        Ended::Interrupted => Err(Failure::plain("interrupted; the token is given back")),
     };
     let release = async {
         guard.release().await.map_err(|error| VerbFailure::Hub {

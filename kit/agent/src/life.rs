@@ -1,0 +1,174 @@
+//! The life of an agent: it hears tasks, has one at a time carried out, and ends.
+
+use std::future::{Future, pending};
+use std::pin::pin;
+use std::sync::Arc;
+use std::time::Duration;
+
+use mom_client::{Channel, Client, ClientError, Code, Event, LinkState, Parcel, WireError};
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+use tokio::time::{Instant, timeout};
+
+use crate::Trade;
+use crate::hired::{Ended, Hired, refuse};
+
+/// How long a task may take to end when the agent does.
+const LAST: Duration = Duration::from_secs(2);
+
+/// The task under way.
+struct Job<T> {
+    hired: Hired<T>,
+    cancel: watch::Sender<Option<String>>,
+    work: JoinHandle<()>,
+}
+
+/// Runs an agent in its channel until `shutdown` is done; a task under way is cancelled then, and the token returned.
+///
+/// # Errors
+///
+/// [`ClientError`] if its channel cannot be joined, or the connection is closed for good.
+pub async fn run<T: Trade>(
+    client: Client,
+    channel: &str,
+    trade: T,
+    shutdown: impl Future<Output = ()>,
+) -> Result<(), ClientError> {
+    let channel = client.channel(channel).await?;
+    let mut events = channel.events();
+    let (trade, mut shutdown) = (Arc::new(trade), pin!(shutdown));
+    let mut job: Option<Job<T::Task>> = None;
+    tracing::info!(peer = client.name(), channel = %channel.path(), "the agent is ready");
+    loop {
+        tokio::select! {
+            () = &mut shutdown => break,
+            () = ended(&mut job) => job = None,
+            event = events.next() => match event {
+                Some(Event::Message(parcel)) => hear(&client, &channel, &trade, &mut job, &parcel).await,
+                Some(Event::Left(member)) => {
+                    if let Some(job) = job.as_ref().filter(|job| job.hired.peer == member.peer) {
+                        job.cancel.send_replace(Some(format!("{} has left", member.peer)));
+                    }
+                }
+                Some(Event::Lagged(count)) => tracing::warn!(count, "messages were lost"),
+                Some(_) => {}
+                None => return Err(closed(&client)),
+            },
+        }
+    }
+    if let Some(job) = job {
+        job.cancel
+            .send_replace(Some("the agent's program ends".to_owned()));
+        if timeout(LAST, job.work).await.is_err() {
+            tracing::warn!("the task did not end in time; the hub takes the token back");
+        }
+    }
+    client.close().await;
+    Ok(())
+}
+
+/// Waits for the end of the task, if there is one.
+async fn ended<T>(job: &mut Option<Job<T>>) {
+    match job {
+        Some(job) => {
+            // One that broke down has lost its token with its guard.
+            if let Err(error) = (&mut job.work).await {
+                tracing::error!(%error, "the task failed with an internal error");
+            }
+        }
+        None => pending().await,
+    }
+}
+
+/// Why there are no more events.
+fn closed(client: &Client) -> ClientError {
+    match &*client.state().borrow() {
+        LinkState::Closed(error) => ClientError::Closed(error.clone()),
+        _ => WireError::new(Code::UNKNOWN_PATH, "the hub deleted the agent's channel").into(),
+    }
+}
+
+/// Hears what a peer asks for.
+async fn hear<T: Trade>(
+    client: &Client,
+    channel: &Channel,
+    trade: &Arc<T>,
+    job: &mut Option<Job<T::Task>>,
+    parcel: &Parcel,
+) {
+    let Some(peer) = parcel.sender.as_deref().map(str::to_owned) else {
+        return;
+    };
+    let error = match (parcel.name(), &*job) {
+        (name, Some(job)) if name == T::VERB => busy::<T>(job),
+        (name, None) if name == T::VERB => match trade.read(&parcel.value()) {
+            Ok(task) => {
+                let (cancel, cancelled) = watch::channel(None);
+                let hired = Hired {
+                    peer,
+                    task,
+                    client: client.clone(),
+                    channel: channel.clone(),
+                    id: parcel.id,
+                    since: Instant::now(),
+                    cancelled,
+                };
+                tracing::info!(peer = hired.peer, task = T::words(&hired.task), "a task");
+                let work = tokio::spawn(carry_out(Arc::clone(trade), hired.clone()));
+                *job = Some(Job { hired, cancel, work });
+                return;
+            }
+            Err(error) => error,
+        },
+        ("cancel", Some(job)) if job.hired.peer == peer => {
+            job.cancel.send_replace(Some(format!("{peer} cancelled it")));
+            return;
+        }
+        ("cancel", Some(job)) => {
+            let text = format!("the task is {0}'s; only {0} cancels it", job.hired.peer);
+            WireError::new(Code::DENIED, text)
+        }
+        ("cancel", None) => WireError::new(Code::TRY_LATER, "there is no task to cancel"),
+        _ => return,
+    };
+    let name = format!("{}-refused", parcel.name());
+    refuse(channel, &peer, parcel.id, &name, &error).await;
+}
+
+fn busy<T: Trade>(job: &Job<T::Task>) -> WireError {
+    let text = format!(
+        "busy: {} has had it {} for {} s",
+        job.hired.peer,
+        T::words(&job.hired.task),
+        job.hired.since.elapsed().as_secs()
+    );
+    WireError::new(Code::TRY_LATER, text)
+}
+
+/// Carries a task out, or refuses it.
+async fn carry_out<T: Trade>(trade: Arc<T>, hired: Hired<T::Task>) {
+    let met = tokio::select! {
+        met = trade.meet(&hired) => met,
+        why = hired.ends() => Err(WireError::new(Code::TRY_LATER, why)),
+    };
+    let (tools, token) = match met {
+        Ok(met) => met,
+        Err(error) => {
+            tracing::info!(peer = hired.peer, %error, "refused");
+            let name = format!("{}-refused", T::VERB);
+            return refuse(&hired.channel, &hired.peer, hired.id, &name, &error).await;
+        }
+    };
+    // Before anything is asked for, so that no offer is missed.
+    let offers = token.events();
+    hired.accept().await;
+    let offered = tokio::select! {
+        offered = hired.offered(&token, offers) => offered,
+        why = hired.ends() => Err(Ended::new("cancelled", why)),
+    };
+    let ended = match offered {
+        Ok(holding) => trade.work(&hired, tools, holding).await,
+        Err(ended) => ended,
+    };
+    hired.tell_end(ended).await;
+}
