@@ -21,12 +21,14 @@ class Stage {
   }
 
   #begin(text, which, whenAsked) {
+    if (which === "once") return this.course.begin({ text, once: true });
     const basedOn = which === "relative" ? { basedOn: "newest" } : which && { basedOn: Number(/^on (\d+)$/.exec(which)[1]) };
     this.course.begin({ text, ...basedOn, whenAsked });
   }
 
   #happens(words, line) {
     const { course } = this;
+    this.by = words[0] === "other" ? words.shift() : "robot";
     const [first, second, ...rest] = words;
     switch (first) {
       case "after":
@@ -46,6 +48,8 @@ class Stage {
         return this.#heard(words);
       case "next":
         return this.#message("next", undefined, { id: Number(second) });
+      case "dropped":
+        return course.hear({ type: "dropped", path: PLACE, reason: second, count: 1, parcel: { family: "event", name: "dropped", content: { sender: "alice", receiver: rest[0] } } });
       case "down":
         return course.hear({ type: "link-down" });
       case "lagged":
@@ -66,15 +70,15 @@ class Stage {
   }
 
   #message(name, content, slots, history = false) {
-    const parcel = { family: "message", name, sender: "robot", context: PLACE, content, ...slots };
-    this.course.hear({ type: "message", name, sender: "robot", content, history, parcel });
+    const parcel = { family: "message", name, sender: this.by, context: PLACE, content, ...slots };
+    this.course.hear({ type: "message", name, sender: this.by, content, history, parcel });
   }
 
   #heard([name, id, ...words], { history = false } = {}) {
     const at = words.indexOf("under");
     const fence = at < 0 ? {} : { fence: Number(words[at + 1]) };
     if (name === "state") {
-      const content = { moving: words.includes("moving"), ...(words.includes("unlinked") && { linked: false }), ...fence };
+      const content = { moving: words.includes("moving"), stopped: words.includes("stopped"), ...(words.includes("unlinked") && { linked: false }), ...fence };
       return this.#message("state", content, { id: Number(id) }, history);
     }
     const [, peer = "alice", number] = /^(?:(.*)\/)?(.*)$/.exec(id);

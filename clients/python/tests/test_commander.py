@@ -41,6 +41,7 @@ class Stage:
         """Something happens."""
         head, _, text = line.partition(": ")
         words = line.split(" ")
+        self.by = words.pop(0) if words[0] == "other" else "robot"
         if text and head.split(" ")[0] in ("command", "pull"):
             self.begin(head.split(" "), text)
         elif words[1:2] == ["leaves"] or words[1:] == ["is", "lost"]:
@@ -50,10 +51,10 @@ class Stage:
         self.gather()
 
     def begin(self, head: List[str], text: str) -> None:
-        bases: Dict[str, Callable[[], Basis]] = {"relative": lambda: NEWEST, "on": lambda: int(head[2])}
+        bases: Dict[str, Callable[[], Basis]] = {"relative": lambda: NEWEST, "on": lambda: int(head[2]), "once": lambda: None}
         basis = bases[head[1]]() if head[1:] else None
         self.text = text
-        self.course.begin(text, basis, pulls=head[0] == "pull")
+        self.course.begin(text, basis, pulls=head[0] == "pull", once=head[1:] == ["once"])
 
     def old(self, words: List[str]) -> None:
         # Who feeds a course leaves old reports out.
@@ -65,7 +66,8 @@ class Stage:
     def state(self, words: List[str], is_old: bool = False) -> None:
         fence = int(words[words.index("under") + 1]) if "under" in words else None
         assert "moving" in words or "unlinked" in words or words[1:3] == ["at", "rest"]
-        self.course.state_told(StateNews(int(words[0]), "moving" in words, "unlinked" not in words, fence), "robot", is_old)
+        news = StateNews(int(words[0]), "moving" in words, "unlinked" not in words, fence, "stopped" in words)
+        self.course.state_told(news, self.by, is_old)
 
     def status(self, words: List[str]) -> None:
         peer, _, id = words[0].rpartition("/")
@@ -78,7 +80,7 @@ class Stage:
             error = {"name": rest[0], "code": int(rest[1]), "text": f"the words of {rest[0]}"}
             error.update({"retry": True} if rest[2:] == ["retry"] else {})
         report = Report(peer or "alice", words[1], None if id == "-" else int(id), fence, statement, of, error)
-        self.course.reported(report, "robot")
+        self.course.reported(report, self.by)
 
     def passes(self, ms: int) -> None:
         """Time passes, and the course is woken whenever it asked to be."""
@@ -102,6 +104,7 @@ class Stage:
         "state": state,
         "status": status,
         "next": lambda self, words: self.course.asks(int(words[0])),
+        "dropped": lambda self, words: self.course.dropped(words[0], words[1] if words[1:] else None),
         "down": lambda self, words: self.course.link_down(),
         "lagged": lambda self, words: self.course.lagged(int(words[0])),
         "lost": lambda self, words: self.course.lost(mom.Lost(words[0], words[2] if words[1:2] == ["by"] else None)),
@@ -266,7 +269,7 @@ def test_what_is_read_of_states_and_reports() -> None:
         return StateNews.read(Parcel("message", "state", content=content, id=4))
 
     assert state({}) == StateNews(4) and state({"moving": True, "reached": False}) == StateNews(4, True, False)
-    assert state({"fence": 9, "linked": True, "stopped": True}) == StateNews(4, fence=9)
+    assert state({"fence": 9, "linked": True, "stopped": True}) == StateNews(4, fence=9, stopped=True)
     assert [state(wrong) for wrong in (None, "free", {"moving": 1}, {"fence": "9"}, {"linked": None})] == [None] * 5
 
     def report(content: Any) -> Optional[Report]:

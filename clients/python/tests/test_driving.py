@@ -361,7 +361,7 @@ async def test_a_link_that_is_lost(own_broker: Broker, odd: Odd, link: bool) -> 
                 assert (await soon(running.end)).name == "halted"
             else:
                 end = await soon(running.end)
-                told = "the connection to the hub is lost, and the token with it: the hub halts the device in /robot/arm"
+                told = "the connection to the hub is lost, and the token with it; what became of the command is not known"
                 assert (end.name, end.text, end.hint) == ("disconnected", told, "see what it did: mom watch /robot/arm")
                 again = await soon(arm.carry_out("home"))
                 assert again.text == "the connection to the hub is lost, and the token with it; nothing of the command ran"

@@ -1,8 +1,8 @@
 // The course of the commands to one device, from sending to the end, without IO and clock. Dialogues say what it does:
 // tests/cases/commander.txt.
-import type { Event, Lost } from "../index.js";
+import type { Event, Fields, Lost } from "../index.js";
 import { type CommandEnd, type Halt, type How, type Refusal, STOPS, type Whose, commandEnd } from "./end.js";
-import { type CommandReport, type StateNews, errorName, errorText, isLast, reportOf, standsFor, stateOf, wasTooLate } from "./heard.js";
+import { type CommandReport, type StateNews, errorName, errorText, isLast, reportOf, hasBegun, standsFor, stateOf, wasTooLate } from "./heard.js";
 
 /** ms in which a device answers a command, and the hub a question. */
 const ANSWER = 10_000;
@@ -36,6 +36,8 @@ export interface Command {
   basedOn?: number | "newest";
   /** ms after which it is worth nothing. */
   expires?: number;
+  /** It is never sent again, whatever is in its way. */
+  once?: boolean;
   /** It is sent when the device asks for it (`next`), and again where that did not begin it in time. */
   whenAsked?: boolean;
 }
@@ -104,6 +106,12 @@ export class Course {
   #left: number[] = [];
   #early: CommandReport[] = [];
   #runs = false;
+  /** Whether the device has said anything of the command, and that it has begun it; and who said so first. */
+  #reported = false;
+  #begun = false;
+  #worker: string | undefined;
+  /** When it was sent last. */
+  #sentAt = 0;
   /** The device's peer, once it has said something. */
   #device: string | undefined;
   #state: StateNews | undefined;
@@ -185,7 +193,7 @@ export class Course {
   begin(command: Command): void {
     [this.#command, this.#met, this.#steps] = [command, undefined, []];
     if (this.#runs) this.#left = [...this.#left, ...this.#ids].slice(-EARLY);
-    this.#runs = false;
+    [this.#runs, this.#reported, this.#begun, this.#worker] = [false, false, false, undefined];
     this.#beginAgain();
   }
 
@@ -201,6 +209,7 @@ export class Course {
     const { basedOn } = this.#command;
     // From here on it may run, whether or not its receipt comes.
     this.#runs = true;
+    this.#sentAt = this.#now;
     this.#early = [];
     this.#wait = { for: "receipt", until: this.#now + RECEIPT };
     this.#steps.push({ step: "send", command: this.#command, on: basedOn === "newest" ? this.#state?.id : basedOn, to });
@@ -266,6 +275,10 @@ export class Course {
         return this.linkDown();
       case "lagged":
         return this.lagged(event.count);
+      case "dropped": {
+        const { sender, receiver } = (event.parcel?.family === "event" ? event.parcel.content : {}) as Fields;
+        if (sender === this.me) this.dropped(event.reason, typeof receiver === "string" ? receiver : undefined);
+      }
     }
   }
 
@@ -280,6 +293,8 @@ export class Course {
   stateTold(news: StateNews, by?: string, isOld = false): void {
     if (!isOld) this.#hearsDevice(by);
     this.#state = news;
+    // What is stopped and rests has ended what it did.
+    if (!isOld && news.stopped && !news.moving && this.#wait.for === "ended" && this.#wait.stops > 0) return this.#hasEnded(true);
     const wait = this.#wait;
     if (wait.for === "state") {
       wait.until = wait.since + STANDING;
@@ -288,8 +303,10 @@ export class Course {
       const name = errorName(wait.report);
       // No state tells that a clock has been measured.
       if (name !== "changing-hands" && name !== "link") return;
-      if (name === "link" ? news.linked : standsFor(news, this.fence)) this.#beginAgain();
-      else wait.again = undefined;
+      const passed = name === "link" ? news.linked : standsFor(news, this.fence);
+      if (!passed) wait.again = undefined;
+      else if (this.#now < this.#sentAt + SOON) wait.again = this.#sentAt + SOON;
+      else this.#beginAgain();
     }
   }
 
@@ -301,12 +318,32 @@ export class Course {
   /** What the device says of a command; old ones are left out. */
   reported(report: CommandReport, by?: string): void {
     if (report.peer !== this.me || (report.fence !== undefined && report.fence !== this.fence)) return;
+    // Where several devices are, it is the one's that has answered.
+    if (this.#worker !== undefined && by !== undefined && by !== this.#worker) return;
     this.#hearsDevice(by);
+    if (report.id !== undefined && this.#ids.has(report.id)) this.#worker = by;
     this.#take(report);
+  }
+
+  /** The hub has dropped a message of this peer on its way to a device (`receiver`), for this reason. */
+  dropped(reason: string, receiver?: string): void {
+    const isOther = receiver !== undefined && this.#device !== undefined && receiver !== this.#device;
+    if (this.#reported || !this.#runs || isOther) return;
+    const wait = this.#wait;
+    if (wait.for === "answer") {
+      this.#runs = false;
+      this.#ask({ kind: "dropped", reason });
+    } else if (wait.for === "loss") {
+      this.#runs = false;
+      this.#end({ kind: "lost", lost: wait.lost, ended: undefined });
+    } else if (wait.for === "release") this.#runs = false;
+    else if (wait.for === "ended" && !this.#left.length) this.#hasEnded(true);
   }
 
   #take(report: CommandReport): void {
     const isThis = report.id !== undefined && this.#ids.has(report.id);
+    this.#reported ||= isThis;
+    this.#begun ||= isThis && hasBegun(report);
     const wasLeft = report.id !== undefined && this.#left.includes(report.id);
     if (wasLeft && isLast(report)) this.#left = this.#left.filter((id) => id !== report.id);
     switch (this.#wait.for) {
@@ -324,6 +361,10 @@ export class Course {
       case "running":
       case "next":
         if (isThis) this.#comes(report);
+        return;
+      case "obstacle":
+        // It has begun all the same.
+        if (isThis && !isLast(report) && this.#begun) this.#comes(report);
         return;
       case "nothing":
         // It was given up.
@@ -358,7 +399,7 @@ export class Course {
   /** The device does not carry it out; unless what is in the way passes. */
   #fails(report: CommandReport): void {
     const [name, { whenAsked }] = [errorName(report) ?? "", this.#command];
-    if (whenAsked && wasTooLate(report)) {
+    if (whenAsked && wasTooLate(report) && !this.#begun) {
       // Of those that it was given, at most one is ever begun, and none that came before one that it has answered.
       const [given, taken] = [[...this.#ids], this.#wait.for === "running" && this.#wait.id === report.id];
       for (const id of given.slice(0, given.indexOf(report.id!) + 1)) this.#ids.delete(id);
@@ -368,7 +409,9 @@ export class Course {
     }
     this.#runs = false;
     const patience = name === "too-old" ? MEASURED : name === "changing-hands" || name === "link" ? STANDING : 0;
-    if (!patience || report.error?.["retry"] !== true || whenAsked) return this.#ask({ kind: "failed", report });
+    // What may have begun is never said twice.
+    const isLastTry = whenAsked || this.#command.once || this.#begun;
+    if (!patience || report.error?.["retry"] !== true || isLastTry) return this.#ask({ kind: "failed", report });
     if (this.#met?.name !== name) this.#met = { name, since: this.#now };
     const stands = !this.#state || (standsFor(this.#state, this.fence) && this.#state.linked);
     // No state tells that a clock has been measured, nor again that a device stands.
@@ -405,7 +448,7 @@ export class Course {
 
   /** A peer has left, or the hub misses it. */
   gone(peer: string, missed: boolean): void {
-    if (this.#device === peer) this.#breaks({ kind: "gone", device: peer, missed });
+    if ((this.#worker ?? this.#device) === peer) this.#breaks({ kind: "gone", device: peer, missed });
   }
 
   /** The link to the hub is down. */

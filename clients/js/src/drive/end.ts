@@ -24,6 +24,8 @@ export type How =
   | { kind: "failed"; report: CommandReport }
   /** The hub has refused it. */
   | { kind: "refused"; error: Refusal }
+  /** The hub has dropped it on its way to the device, for this reason. */
+  | { kind: "dropped"; reason: string }
   /** The hub has not said whether it has it; why. */
   | { kind: "unanswered"; why: string }
   /** No device answers, or the device asks for no commands, or it has begun this one and says nothing any more. */
@@ -93,7 +95,7 @@ export function commandEnd(how: How, whose: Whose, command: string, runs: boolea
 function nameOf(how: How): string {
   switch (how.kind) {
     case "failed":
-      return errorName(how.report) ?? "error";
+      return ownName(visible(errorName(how.report) ?? ""));
     case "refused":
       return how.error.code;
     case "asks-nothing":
@@ -101,6 +103,15 @@ function nameOf(how: How): string {
     default:
       return how.kind;
   }
+}
+
+/** The longest name of an error that is told, characters. */
+const LONGEST = 64;
+/** What a device's error may not be called: these are words of the commander's own. */
+const OWN = ["", "finished", "error", "dropped", "unanswered", "no-answer", "silent", "gone", "disconnected", "lagged", "lost"];
+
+function ownName(name: string): string {
+  return OWN.includes(name) ? "error" : [...name].slice(0, LONGEST).join("");
 }
 
 function errorOf(how: How): Fields | undefined {
@@ -122,6 +133,8 @@ function words(how: How, { place, token }: Whose, command: string, became: strin
       return failed(how.report, place, lookOrStop);
     case "refused":
       return [`${send}: ${refused(how.error)}`];
+    case "dropped":
+      return [`${send}: the hub dropped it on its way: ${visible(how.reason)}${NOTHING}`];
     case "unanswered":
       return [`${send}: ${how.why}${became}`, lookOrStop];
     case "no-answer":
@@ -139,9 +152,8 @@ function words(how: How, { place, token }: Whose, command: string, became: strin
       return [gone + became, around];
     }
     case "disconnected": {
-      const lost = "the connection to the hub is lost, and the token with it";
-      if (became === NOTHING) return [lost + became];
-      return [`${lost}: the hub halts the device in ${place}`, `see what it did: mom watch ${place}`];
+      const lost = `the connection to the hub is lost, and the token with it${became}`;
+      return became === NOTHING ? [lost] : [lost, `see what it did: mom watch ${place}`];
     }
     case "lagged":
       return [`${how.count} ${how.count === 1 ? "event was" : "events were"} lost here${became}`, lookOrStop];
@@ -203,7 +215,7 @@ export function verdict(halt: Halt, place: string): { text: string; hint: string
       };
     case "silent":
       return {
-        text: `the device in ${place} has not said that it has ended its command, neither to the hub's halt nor to ${STOPS} stops`,
+        text: `the device in ${place} has not said that it has ended its command, though the hub was asked to halt it, and ${STOPS} times to stop it`,
         hint: "go and look; switch it off where it moves",
       };
   }

@@ -8,6 +8,8 @@ export interface StateNews {
   id?: number | undefined;
   /** Whether it moves, or may do so. */
   moving: boolean;
+  /** Whether it is stopped. */
+  stopped?: boolean | undefined;
   /** Whether its mechanism is in reach. */
   linked: boolean;
   /** The newest fence that it has heard of; undefined of a device that says nothing of fences. */
@@ -61,8 +63,8 @@ function reads<T>(content: Value | undefined, read: (fields: Fields) => T): T | 
 export function stateOf({ content, parcel }: MessageEvent): StateNews | undefined {
   return reads(content, (fields) => {
     const [linked, reached] = [key(fields, "linked", "boolean", true), key(fields, "reached", "boolean", true)];
-    const moving = key(fields, "moving", "boolean", false);
-    return { id: parcel.id, moving, linked: linked && reached, fence: key(fields, "fence", "number") };
+    const [moving, stopped] = [key(fields, "moving", "boolean", false), key(fields, "stopped", "boolean", false)];
+    return { id: parcel.id, moving, stopped, linked: linked && reached, fence: key(fields, "fence", "number") };
   });
 }
 
@@ -99,6 +101,11 @@ export function errorName({ error }: CommandReport): string | undefined {
 export function errorText({ error }: CommandReport): string {
   const text = error?.["text"];
   return visible(typeof text === "string" ? text : "it failed, and the device does not say why");
+}
+
+/** Whether the device has begun the command by it. */
+export function hasBegun({ state, statement }: CommandReport): boolean {
+  return statement > 0 || state === "executing";
 }
 
 /** Whether the device has not begun the command, as it came or waited too long. */

@@ -24,6 +24,8 @@ class Command:
     """Seconds after which it is worth nothing."""
     when_asked: bool = False
     """Whether it is sent when the device asks for it (`next`), and again when that did not begin it in time."""
+    once: bool = False
+    """Whether it is never sent again, whatever is in its way."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.text, str):

@@ -9,7 +9,7 @@ from typing import Any, Awaitable, Callable, Coroutine, Dict, Mapping, Optional,
 
 from ..core.holds import Lost
 from ..errors import ClosedError, ConnectionDownError, DroppedError, LocalError, LostError, MomError, RefusedError, WireError
-from ..events import Event, Lagged, Left, LinkDown, Message, PeerLost
+from ..events import Dropped, Event, Lagged, Left, LinkDown, Message, PeerLost
 from ..parcel import Parcel
 from ..proxies import Channel, TokenGuard
 from ..subscriptions import Events
@@ -234,6 +234,11 @@ class Commander:
             self._course.gone(event.member.peer, missed=False)
         elif isinstance(event, PeerLost):
             self._course.gone(event.member.peer, missed=True)
+        elif isinstance(event, Dropped) and event.parcel.family == "event":
+            said = event.parcel.map()
+            receiver = said.get("receiver")
+            if said.get("sender") == self._course.me:
+                self._course.dropped(event.reason, receiver if isinstance(receiver, str) else None)
         elif isinstance(event, LinkDown):
             self._course.link_down()
         elif isinstance(event, Lagged):
@@ -276,7 +281,7 @@ class Commander:
         if self._loss is not None:
             self._course.begin_without(self._loss)
         else:
-            self._course.begin(command.text, command.basis(self._card), command.when_asked)
+            self._course.begin(command.text, command.basis(self._card), command.when_asked, command.once)
 
     # What is done.
 

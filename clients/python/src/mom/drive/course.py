@@ -127,6 +127,12 @@ class Course:
         self._early: Deque[Report] = deque(maxlen=_EARLY)
         self._runs = False
         """Whether the command was sent, and no end of it was heard."""
+        self._reported = self._begun = self._once = False
+        """Whether the device has said anything of the command, that it has begun it; and that it is never sent again."""
+        self._worker: Optional[str] = None
+        """Who has said anything of it first."""
+        self._sent_at = 0
+        """When it was sent last."""
         self._state: Optional[StateNews] = None
         self._device: Optional[str] = None
         """The device's peer, once it has said something."""
@@ -144,6 +150,11 @@ class Course:
         self._end_to_be: Optional[CommandEnd] = None
         self._loss: Optional[Lost] = None
         self._steps: Deque[Step] = deque()
+
+    @property
+    def me(self) -> str:
+        """This peer's name."""
+        return self._me
 
     @property
     def is_under_way(self) -> bool:
@@ -210,13 +221,14 @@ class Course:
 
     # From its beginning until the hub has it.
 
-    def begin(self, text: str, basis: Basis = None, pulls: bool = False) -> None:
-        """A command is to be carried out; `pulls`: when the device asks for it. One before that has not ended goes on."""
+    def begin(self, text: str, basis: Basis = None, pulls: bool = False, once: bool = False) -> None:
+        """A command is to be carried out; `pulls`: when the device asks for it; `once`: never sent again. One before that goes on."""
         self._text, self._basis, self._pulls, self._met = text, basis, pulls, None
         self._steps.clear()
         if self._runs:
             self._left.extend(self._ids)
-        self._runs = False
+        self._runs = self._reported = self._begun = False
+        self._worker, self._once = None, once
         self._begin_again()
 
     def begin_without(self, lost: Lost) -> None:
@@ -247,6 +259,7 @@ class Course:
             on = self._state.id
         # From here on it may run, whether or not its receipt comes.
         self._runs = True
+        self._sent_at = self._now
         self._early.clear()
         self._await(_Wait.RECEIPT, _RECEIPT)
         self._steps.append(Send(on, to))
@@ -313,6 +326,10 @@ class Course:
         if not is_old:
             self._hears(by)
         is_first, self._state = self._state is None, news
+        if not is_old and news.stopped and not news.moving and self._wait is _Wait.ENDED and self._stops:
+            # What is stopped and rests has ended what it did.
+            self._has_ended()
+            return
         if is_first and self._wait is _Wait.STATE:
             self._due = self._since + _STANDING
         self._send_if_based()
@@ -321,11 +338,14 @@ class Course:
         report, until = self._obstacle
         if report.error_name not in ("changing-hands", "link"):
             return
-        if news.stands_for(self._fence) if report.error_name == "changing-hands" else news.linked:
-            self._begin_again()
-        else:
+        soon = self._sent_at + _SOON
+        if not (news.stands_for(self._fence) if report.error_name == "changing-hands" else news.linked):
             # A state will tell when it has passed.
             self._due = until
+        elif self._now < soon:
+            self._due = min(until, soon)
+        else:
+            self._begin_again()
 
     def _hears(self, by: Optional[str]) -> None:
         self._device = by if by is not None else self._device
@@ -335,12 +355,35 @@ class Course:
     def reported(self, report: Report, by: Optional[str]) -> None:
         """A report about a command."""
         if report.peer == self._me and report.fence in (None, self._fence):
+            # Where several devices are, it is the one's that has answered.
+            if self._worker is not None and by is not None and by != self._worker:
+                return
             self._hears(by)
+            if report.id is not None and report.id in self._ids:
+                self._worker = by
             self._report(report)
+
+    def dropped(self, reason: str, receiver: Optional[str]) -> None:
+        """The hub has dropped a message of this peer on its way to a device, for this reason."""
+        is_other = receiver is not None and self._device is not None and receiver != self._device
+        if self._reported or not self._runs or is_other:
+            return
+        if self._wait is _Wait.ANSWER:
+            self._runs = False
+            self._ask(self._whose.dropped(self._text, reason))
+        elif self._wait is _Wait.LOSS and self._loss is not None:
+            self._runs = False
+            self._end(self._whose.lost(self._loss, None))
+        elif self._wait is _Wait.RELEASE:
+            self._runs = False
+        elif self._wait is _Wait.ENDED and not self._left:
+            self._has_ended()
 
     def _report(self, report: Report) -> None:
         is_this = report.id is not None and report.id in self._ids
         was_left = report.id is not None and report.id in self._left
+        self._reported = self._reported or is_this
+        self._begun = self._begun or (is_this and report.has_begun)
         if was_left and report.is_end:
             self._left.remove(report.id or 0)
         if self._wait in _ENDING:
@@ -349,6 +392,9 @@ class Course:
         elif self._wait is _Wait.RECEIPT and not is_this:
             self._early.append(report)
         elif self._wait in _SENT and is_this:
+            self._comes(report)
+        elif self._wait is _Wait.OBSTACLE and is_this and not report.is_end and self._begun:
+            # It has begun all the same.
             self._comes(report)
         elif self._wait is _Wait.NOTHING and is_this and report.is_end:
             # It was given up.
@@ -383,7 +429,7 @@ class Course:
     def _fails(self, report: Report) -> None:
         """The device does not carry it out; unless what is in the way passes."""
         name = report.error_name or ""
-        if self._pulls and report.was_too_late:
+        if self._pulls and report.was_too_late and not self._begun:
             # Of those that it was given, at most one is ever begun, and none that came before one that it has answered.
             self._ids = self._ids[self._ids.index(report.id or 0) + 1 :]
             if self._wait is _Wait.NEXT or (self._wait is _Wait.RUNNING and self._taken == report.id):
@@ -393,7 +439,8 @@ class Course:
             return
         self._runs = False
         patience = {"changing-hands": _STANDING, "link": _STANDING, "too-old": _MEASURED}.get(name)
-        if patience is None or not report.may_retry or self._pulls:
+        # What may have begun is never said twice.
+        if patience is None or not report.may_retry or self._pulls or self._once or self._begun:
             self._ask(self._whose.failed(report))
             return
         if self._met is None or self._met[0] != name:
@@ -437,7 +484,7 @@ class Course:
 
     def gone(self, peer: str, missed: bool) -> None:
         """A peer has left, or the hub misses it."""
-        if peer == self._device:
+        if peer == (self._worker if self._worker is not None else self._device):
             self._breaks(self._whose.gone(peer, missed, self._runs))
 
     def link_down(self) -> None:

@@ -90,8 +90,11 @@ class CommandEnd:
         """The word for it: that of the device's or the hub's error, such as `joint-limit` or `held`, else `kind`."""
         if self.kind == "refused" and self.error is not None:
             return self.error.code
-        named = self.kind == "error" and self.error is not None and isinstance(self.error.details.get("name"), str)
-        return self.error.code if named and self.error is not None else self.kind
+        given = self.error.details.get("name") if self.kind == "error" and self.error is not None else None
+        if not isinstance(given, str):
+            return self.kind
+        shown = visible(given)[:_LONGEST]
+        return "error" if shown in _OWN else shown
 
     @property
     def unreachable(self) -> bool:
@@ -102,6 +105,12 @@ class CommandEnd:
         """Nothing, if it was carried out; raises `CommandFailed` with `text` and `hint` otherwise."""
         if not self.finished:
             raise CommandFailed(self)
+
+
+_LONGEST = 64
+"""Characters of the longest name of an error that is told."""
+_OWN = ("", "finished", "error", "dropped", "unanswered", "no-answer", "silent", "gone", "disconnected", "lagged", "lost")
+"""What a device's error may not be called: these are words of the commander's own."""
 
 
 class Halt(Enum):
@@ -123,7 +132,8 @@ class Halt(Enum):
             )
         if self is Halt.SILENT:
             raise DriveError(
-                f"the device in {device} has not said that it has ended its command, neither to the hub's halt nor to {TIMES} stops",
+                f"the device in {device} has not said that it has ended its command, "
+                f"though the hub was asked to halt it, and {TIMES} times to stop it",
                 _GO_AND_LOOK,
             )
 
@@ -162,6 +172,11 @@ class Whose:
         text = f"send {quoted(command)} to {self.place}: {error.code}: {error.text}{nearest}"
         return CommandEnd("refused", text, error=error)
 
+    def dropped(self, command: str, reason: str) -> CommandEnd:
+        """The hub has dropped it on its way to the device."""
+        text = f"send {quoted(command)} to {self.place}: the hub dropped it on its way: {visible(reason)}{_NOTHING}"
+        return CommandEnd("dropped", text)
+
     def unanswered(self, command: str, why: str, runs: bool) -> CommandEnd:
         """The hub has not said whether it has it."""
         text = f"send {quoted(command)} to {self.place}: {why}{_unknown(runs)}"
@@ -188,11 +203,8 @@ class Whose:
 
     def disconnected(self, runs: bool) -> CommandEnd:
         """The link to the hub is down."""
-        text = "the connection to the hub is lost, and the token with it"
-        if not runs:
-            return CommandEnd("disconnected", f"{text}{_NOTHING}")
-        halts = f"{text}: the hub halts the device in {self.place}"
-        return CommandEnd("disconnected", halts, f"see what it did: mom watch {self.place}")
+        text = f"the connection to the hub is lost, and the token with it{_unknown(runs)}"
+        return CommandEnd("disconnected", text, f"see what it did: mom watch {self.place}" if runs else None)
 
     def lagged(self, count: int, runs: bool) -> CommandEnd:
         """So many events were lost here."""

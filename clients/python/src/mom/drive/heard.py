@@ -39,6 +39,8 @@ class StateNews:
     """Whether its mechanism is in reach."""
     fence: Optional[int] = None
     """The newest fence that it has heard of; `None` of one that says nothing of fences."""
+    stopped: bool = False
+    """Whether it is stopped."""
 
     @staticmethod
     def read(parcel: Parcel) -> Optional[StateNews]:
@@ -47,11 +49,11 @@ class StateNews:
         if not isinstance(content, dict):
             return None
         moving, linked, reached = content.get("moving", False), content.get("linked", True), content.get("reached", True)
-        fence = content.get("fence")
-        flags_are_flags = all(isinstance(flag, bool) for flag in (moving, linked, reached))
+        fence, stopped = content.get("fence"), content.get("stopped", False)
+        flags_are_flags = all(isinstance(flag, bool) for flag in (moving, linked, reached, stopped))
         if not flags_are_flags or (fence is not None and number(content, "fence") is None):
             return None
-        return StateNews(parcel.id, moving, linked and reached, fence)
+        return StateNews(parcel.id, moving, linked and reached, fence, stopped)
 
     def stands_for(self, fence: int) -> bool:
         """Whether it rests, and has heard that the token's owner has this fence."""
@@ -102,6 +104,11 @@ class Report:
         """What its error is called, such as `joint-limit`."""
         name = (self.error or {}).get("name")
         return name if isinstance(name, str) else None
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether the device has begun the command by it."""
+        return self.statement > 0 or self.state == "executing"
 
     @property
     def was_too_late(self) -> bool:
