@@ -19,13 +19,15 @@ function stamp(): Plugin {
 const hub = process.env["MOM_HUB"] ?? "http://127.0.0.1:7666";
 const proxy = Object.fromEntries(["/mom", "/tunnel", "/api", "/log"].map((path) => [path, { target: hub, ws: path === "/mom", headers: { origin: hub } }]));
 
+const client = (entry: string): string => fileURLToPath(new URL(`../clients/js/src/${entry}`, import.meta.url));
+
 export default defineConfig({
   // Pages of others load these files from wherever the hub is.
   base: "./",
   server: { proxy },
   preview: { proxy },
   plugins: [svelte(), stamp()],
-  resolve: { alias: { "mom-client": fileURLToPath(new URL("../clients/js/src/index.ts", import.meta.url)) } },
+  resolve: { alias: { "mom-client/drive": client("drive/index.ts"), "mom-client": client("index.ts") } },
   worker: { format: "es", rollupOptions: { output: { entryFileNames: "assets/hub-worker-[hash].js" } } },
   build: {
     target: "es2022",

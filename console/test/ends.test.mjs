@@ -82,14 +82,14 @@ test("an agent that was asked before STOP is not lent the token after it", async
   const hub = hubOf();
   let heard;
   hub.watch = (_, handlers) => ((heard = handlers.events), () => undefined);
-  const task = new AgentTask(hub, "/servo", { verb: "align", asker: "for", done: "finished", states: {} });
+  const task = new AgentTask(hub, "/servo", "align", {});
   task.start();
   void task.begin({}, "/robot/token", { for: 1000 });
   hub.asked[0].resolve({ id: 1, delivered: 1 });
   await settled();
   hub.stop();
   assert.equal(task.phase, "over");
-  heard([{ type: "message", name: "progress", history: false, content: { state: "accepted", for: "alice", agent: "servo" } }]);
+  heard([{ type: "message", name: "progress", history: false, content: { state: "accepted", by: "alice", agent: "servo" } }]);
   await settled();
   assert.deepEqual(hub.asked.map(({ name, args }) => [name, args[1]]), [["send", "align"], ["send", "cancel"]]);
 });

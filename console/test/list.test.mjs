@@ -63,15 +63,6 @@ test("survives a reload, after which what was under way is not known", () => {
   assert.equal(list.restore('[{"text":"a","state":"dancing"}]')[0].state, "waiting");
 });
 
-test("only what is sure to pass is tried again", () => {
-  const obstacle = (code, retry) => list.obstacle({ kind: "refused", code, text: "", content: retry ? { retry: true } : {} });
-  for (const [code, want] of [["changing-hands", "stands"], ["link", "stands"], ["stale-state", "moment"], ["no-state", "moment"], ["too-old", "moment"], ["busy", undefined]]) {
-    assert.equal(obstacle(code, true), want, code);
-    assert.equal(obstacle(code, false), undefined, code);
-  }
-  assert.equal(obstacle("try-later", false), "moment");
-});
-
 test("objects: all at first, then what differs; a gap is noticed", () => {
   const red = { name: "red", x: 1, y: 2, z: 20, yaw: 0, held: false, colour: [200, 40, 40], seen: new Date(1000) };
   let model = snapshot({ seq: 5, objects: [red, { x: 1 }, { name: "lost" }] });

@@ -72,6 +72,8 @@ export class FakeRobot {
   packet = { linked: true, period: 20, confirmed: true, loss: 0.004, "round-trip": 1840, offset: -2350000, error: 1900, sent: 5000, received: 4980, "down-rate": 2950, "up-rate": 2600, "free-buffers": 3, accepted: 4980, dropped: {}, heard: 9000 };
   bits = { down: [0, 1], up: [7] };
   sealed = false;
+  /** Why it takes no command now. */
+  hindrance = undefined;
   /** Whether it does what it is told. */
   obeys = true;
   /** Called when it stops, and when it is let go. */
@@ -140,6 +142,10 @@ export class FakeRobot {
       if (name !== "command") continue;
       this.heard.push({ content, fence: parcel.fence, permitted: this.channel.permits(parcel) });
       const status = (state, error) => this.channel.sendAcknowledged("status", { peer: sender, id: parcel.id, state, statement: 1, of: 1, ...(error ? { error } : {}) }, { echo: false });
+      if (this.hindrance) {
+        await status("error", this.hindrance);
+        continue;
+      }
       await status("executing");
       const error = this.obeys ? await this.#do(String(content)) : undefined;
       if (this.obeys) await status(error ? "error" : "finished", error);

@@ -292,6 +292,63 @@ test("of several robots one is chosen, and the address names it", async (t) => {
   await mirror.getByText("Bit 1, right-wheel: to the robot").waitFor({ state: "attached" });
 });
 
+test("what its last owner has begun is waited for, and then the command goes on", async (t) => {
+  const page = await hub.page("alice", { t });
+  await page.getByRole("combobox", { name: "Device" }).selectOption("/zoe/robot");
+  const list = page.locator("mom-commands");
+  const send = async (statement) => {
+    await list.getByLabel("New command", { exact: true }).fill(statement);
+    await list.getByRole("button", { name: "Add and send" }).click();
+  };
+  await grab(page);
+  other.heard.length = 0;
+  other.hindrance = { name: "changing-hands", code: 5105, text: "it is changing hands and still moves", retry: true };
+  await send("activate left-wheel");
+  await list.locator("li.sending").getByText("Sent again as soon as possible: it is changing hands and still moves").waitFor();
+  other.hindrance = undefined;
+  // It does not stand for its owner yet.
+  const { fence } = other.heard[0];
+  await other.tells({ fence: fence - 1 });
+  await other.moves(true);
+  assert.equal(other.heard.length, 1);
+  await other.tells({ moving: false, fence });
+  await list.locator("li.finished").waitFor();
+  assert.deepEqual(other.heard, [1, 2].map(() => ({ content: "activate left-wheel", fence, permitted: true })));
+
+  // What waits to be sent again is not sent after STOP.
+  other.hindrance = { name: "changing-hands", code: 5105, text: "it is changing hands and still moves", retry: true };
+  await other.moves(true);
+  await send("deactivate left-wheel");
+  await list.locator("li.sending").getByText("Sent again as soon as possible").waitFor();
+  await page.keyboard.press("Escape");
+  await list.locator("li.error").getByText("STOP was pressed.", { exact: true }).waitFor();
+  other.hindrance = undefined;
+  await other.tells({ moving: false, fence });
+  await letGo(page);
+  await list.getByText("The device is stopped: let it go first.").first().waitFor({ state: "hidden" });
+  assert.equal(other.heard.length, 3);
+  await release(page);
+});
+
+test("a robot that goes while it carries something out ends it, in words", async (t) => {
+  const page = await hub.page("alice", { t, path: "/#/simulacrum?path=%2Fzoe%2Fsimulacrum" });
+  const mirror = page.locator("mom-simulacrum");
+  const row = mirror.locator('tbody[data-element="left-wheel"]');
+  await grab(mirror);
+  await row.getByRole("button", { name: "left-wheel" }).click();
+  const activate = row.getByRole("button", { name: "Activate", exact: true });
+  await until(page, async () => (await activate.getAttribute("aria-disabled")) === "false");
+  other.obeys = false;
+  await activate.click();
+  const sent = mirror.getByRole("region", { name: "Sent" });
+  await sent.getByText("executing", { exact: true }).waitFor();
+  await other.end();
+  await sent.getByText(/carol.* has left \/zoe\/robot; what became of the command is not known$/).waitFor();
+  await sent.getByText("see who is there: mom tree /zoe").waitFor();
+  other = (await FakeRobot.start(hub.host, "/zoe", "carol", CUBO.slice(0, 2))).run();
+  await release(mirror);
+});
+
 for (const [width, colorScheme] of [[360, "light"], [360, "dark"], [1280, "light"], [1280, "dark"]]) {
   test(`both pages are accessible at ${width} px, ${colorScheme}`, async (t) => {
     const { page, mirror, row } = await open(t, "alice", { viewport: { width, height: 760 }, colorScheme, reducedMotion: "reduce" });

@@ -71,9 +71,9 @@ test("tokens that are lost for one reason are told together, and what was given 
   tokensOf(hub);
   hub.own("/robot/token", null, "released", "alice");
   for (const unit of [1, 2, 3]) hub.own(`/fleet/${unit}/token`, null, "preempted", "carol");
-  assert.match(tokenOf(hub, "/fleet/2/token").lost, /You lost \/fleet\/2\/token: a user of a higher level took it, by carol/);
+  assert.match(tokenOf(hub, "/fleet/2/token").lost, /You lost \/fleet\/2\/token: carol has a higher level and took it/);
   while (!hub.notes.length) await new Promise((resolve) => setTimeout(resolve, 5));
-  assert.deepEqual(hub.notes, [["warning", "You lost 3 tokens (/fleet/1/token and others): a user of a higher level took it, by carol."]]);
+  assert.deepEqual(hub.notes, [["warning", "You lost 3 tokens (/fleet/1/token and others): carol has a higher level and took it."]]);
 });
 
 test("who does not wait has no place in the queue", async (t) => {

@@ -1,25 +1,15 @@
-// A device as the page knows it: its newest state and how old that is, and what became of its commands.
+// A device as the page knows it: its newest state and how old that is. Commands of this page are carried out at it.
+import type { Command } from "mom-client/drive";
 import type { Failure, HubEvent, Message, PlainFields } from "../worker/protocol.js";
 import { type Rest, restOf, unreachedSince } from "../worker/rest.js";
 import { carded } from "./cards.svelte.js";
-import { HubError } from "./failure.js";
+import { Carrier, type News } from "./carrier.js";
 import { fields, flag, list, number, text } from "./fields.js";
 import type { Hub } from "./hub.svelte.js";
 import { Teller } from "./teller.svelte.js";
 
 /** mm and degrees. */
 export type Pose = [x: number, y: number, z: number, spin: number, tilt: number];
-
-/** The state of a command, by the words of M42. */
-export interface Status {
-  peer: string;
-  id: number | undefined;
-  state: string;
-  statement: number;
-  of: number;
-  error: Failure | undefined;
-  arrived: number;
-}
 
 /** So many times of states are kept. */
 const TOLD = 200;
@@ -40,8 +30,6 @@ export class DeviceState {
   /** The content of its newest `state`. */
   state = $state.raw<PlainFields>({});
   pose = $state.raw<Pose | undefined>(undefined);
-  /** The id of that state, which a relative command is based on. */
-  stateId = $state<number | undefined>(undefined);
   /** When that state was made, ms since 1970 by this machine's clock, and the error of that. */
   born = $state<number | undefined>(undefined);
   error = $state<number | undefined>(undefined);
@@ -52,19 +40,21 @@ export class DeviceState {
   /** The token that guards it. */
   token = $state<string | undefined>(undefined);
   guarded = $state.raw<readonly string[]>([]);
-  /** The newest status of each command. */
-  statuses = $state.raw<ReadonlyMap<string, Status>>(new Map());
+  /** The newest error of a command of this page, and when it was told. */
+  refused = $state.raw<{ error: Failure | undefined; arrived: number } | undefined>(undefined);
   failure = $state.raw<Failure | null>(null);
 
   /** When it made its newest states, by its own clock: a camera names the state that its picture shows. */
   readonly #told = new Set<number>();
   readonly #teller: Teller;
+  readonly #carrier: Carrier;
 
   constructor(
     readonly hub: Hub,
     readonly path: string,
   ) {
     this.#teller = new Teller(hub);
+    this.#carrier = new Carrier(hub, path);
   }
 
   /** What it says of its rest. */
@@ -87,7 +77,7 @@ export class DeviceState {
 
   /** Watches it until the function that it gives is called. */
   start(): () => void {
-    return this.hub.watch(
+    const end = this.hub.watch(
       { path: this.path, kind: "channel", names: ["state", "status"], state: true },
       {
         joined: (info) => {
@@ -100,6 +90,10 @@ export class DeviceState {
         failed: (failure) => (this.failure = failure),
       },
     );
+    return () => {
+      end();
+      this.#carrier.drop();
+    };
   }
 
   /** Whether it has told a state at this time of its clock. */
@@ -121,24 +115,9 @@ export class DeviceState {
       if (this.#told.size > TOLD) this.#told.delete(this.#told.keys().next().value!);
       this.#teller.tells(message);
       this.pose = poseOf(fields(content["pose"])) ?? this.pose;
-      this.stateId = message.id ?? this.stateId;
       [this.born, this.error, this.arrived] = [message.born, message.error, message.arrived];
-    } else {
-      const status: Status = {
-        peer: text(content, "peer") ?? "",
-        id: number(content, "id"),
-        state: text(content, "state") ?? "",
-        statement: number(content, "statement") ?? 0,
-        of: number(content, "of") ?? 0,
-        error: refusalOf(fields(content["error"])),
-        arrived: message.arrived,
-      };
-      const all = new Map(this.statuses);
-      all.delete(`${status.peer}\n${status.id}`);
-      all.set(`${status.peer}\n${status.id}`, status);
-      // Enough for a long list of commands.
-      if (all.size > 500) all.delete(all.keys().next().value!);
-      this.statuses = all;
+    } else if (text(content, "state") === "error" && text(content, "peer") === this.hub.me?.peer) {
+      this.refused = { error: refusalOf(fields(content["error"])), arrived: message.arrived };
     }
   }
 
@@ -149,25 +128,8 @@ export class DeviceState {
     return this.unreached ?? { since: born ?? arrived, late: this.arrived === undefined };
   }
 
-  /** The status of a command of this page. */
-  status(id: number | undefined): Status | undefined {
-    return id === undefined ? undefined : this.statuses.get(`${this.hub.me?.peer}\n${id}`);
-  }
-
-  /** Sends a command under the token that this page owns; gives the command's id. */
-  async command(script: string, options: { expires?: number; relative?: boolean } = {}): Promise<number> {
-    const owned = this.token === undefined ? undefined : this.hub.owned.get(this.token);
-    if (this.token !== undefined && !owned) {
-      throw new HubError({ kind: "local", code: "not-owner", text: `${this.path} needs ${this.token}`, content: {} });
-    }
-    const { expires, relative } = options;
-    const sent = await this.hub.call("send", this.path, "command", script, {
-      echo: false,
-      ...(owned ? { fence: owned.fence } : {}),
-      ...(expires === undefined ? {} : { expires }),
-      ...(relative && this.stateId !== undefined ? { basedOn: this.stateId } : {}),
-    });
-    if (sent.delivered === 0) throw new HubError({ kind: "local", code: "no-answer", text: `no device in ${this.path} can obey`, content: {} });
-    return sent.id;
+  /** Has a command carried out under the token that this page owns; tells what becomes of it, and gives why it failed. */
+  carryOut(command: Command, told?: (news: News) => void): Promise<Failure | null> {
+    return this.#carrier.carryOut(command, this.token, told);
   }
 }

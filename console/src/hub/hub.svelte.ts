@@ -370,6 +370,15 @@ export class Hub {
     }
     if (link.state === "connected" && (before.state === "resuming" || before.state === "trying") && this.me) this.note("info", texts.notices.back);
     if (link.error && link.error.text !== before.error?.text) this.note("warning", link.error.text, link.error);
+    for (const listener of this.#linkListeners) listener(link);
+  }
+
+  readonly #linkListeners = new Set<(link: Link) => void>();
+
+  /** Hears how the link is, whenever that is told. */
+  onLink(listener: (link: Link) => void): () => void {
+    this.#linkListeners.add(listener);
+    return () => this.#linkListeners.delete(listener);
   }
 
   #own(path: string, owned: Owned | null, reason: string | undefined, by: string | undefined): void {

@@ -310,7 +310,7 @@ export class Tokens {
     if (owned) this.offers = this.offers.filter((offer) => offer.path !== path);
     const token = this.of(path);
     token.offered = null;
-    token.lost = owned || reason === "released" ? null : t.lost(path, t.reasons[reason ?? ""] ?? reason ?? "", by);
+    token.lost = owned || reason === "released" ? null : t.lost(path, reason, by);
     if (token.lost === null) return;
     const key = JSON.stringify([reason, by]);
     const together = this.#losses.get(key);
@@ -319,7 +319,7 @@ export class Tokens {
     this.#losses.set(key, paths);
     setTimeout(() => {
       this.#losses.delete(key);
-      this.hub.note(reason === "given" ? "info" : "warning", t.lost(t.first(paths[0]!, paths.length), t.reasons[reason ?? ""] ?? reason ?? "", by));
+      this.hub.note(reason === "given" ? "info" : "warning", t.lost(t.first(paths[0]!, paths.length), reason, by));
     }, TOGETHER);
   }
 }

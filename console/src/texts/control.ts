@@ -1,4 +1,5 @@
 // Login, link, tokens and stopping.
+import { lossWords } from "mom-client/drive";
 import { duration, left, timeOfDay } from "./format.js";
 
 export const login = {
@@ -157,17 +158,5 @@ export const token = {
   lapses: { "timed-out": "it was not answered in time", declined: "it was declined", withdrawn: "it was withdrawn", lost: "the token changed hands", left: "one of the two has left" } as Record<string, string>,
   fence: "Fence",
   loading: "Loading…",
-  lost: (path: string, reason: string, by: string | undefined) => `You lost ${path}: ${reason}${by === undefined ? "" : `, by ${by}`}.`,
-  reasons: {
-    released: "given back",
-    expired: "the lease expired",
-    preempted: "a user of a higher level took it",
-    disconnected: "the connection was lost",
-    deleted: "it was deleted",
-    broken: "an operator broke the hold",
-    revoked: "the right was withdrawn",
-    given: "you handed it over",
-    returned: "it went back to its lender",
-    left: "this page left it",
-  } as Record<string, string>,
+  lost: (path: string, reason = "", by?: string) => `You lost ${path}: ${lossWords(by === undefined ? { reason } : { reason, by })}.`,
 };

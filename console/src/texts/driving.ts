@@ -61,10 +61,6 @@ export const commands = {
   stopOrdered: "STOP was pressed.",
   linkLost: "The link to the hub was lost.",
   tokenLost: "You no longer hold the token.",
-  halts: "The device halts what was under way.",
-  deviceSays: (text: string) => `The device says: ${text}.`,
-  silent: "No device answers here. Check who is in the channel.",
-  noWords: "It failed; the device gave no reason.",
   noted: (path: string, command: string, text: string) => `${path}: ${text} (${command.length > 60 ? `${command.slice(0, 60)}…` : command})`,
   what: (command: string) => (command.length > 60 ? `${command.slice(0, 60)}…` : command),
   useReachable: (pose: string) => `Use the nearest pose that it reaches: ${pose}`,
@@ -121,12 +117,10 @@ export const commands = {
     "joint-limit": "Choose a pose nearer to the base, or another spin or tilt.",
     singularity: "Go by way of another pose, or change the tilt by some degrees.",
     "torque-overload": "Something was in the way. Look at the pictures, move up or back, then send it again.",
-    link: "The device lost its controller and has stopped. Wait for its state, then send it again.",
     halted: "The arm was halted. Check where it is before you send anything again.",
     stopped: "Let the device go (beside STOP), then send it again.",
     "queue-full": "Wait until the device has finished its queue.",
     "duplicate-id": "Send it again.",
-    "changing-hands": "The device is ending its last owner's commands. Send it again when it is at rest.",
     busy: "The device is busy with something else. Send it again when it is at rest.",
     "too-old": "It arrived too late. Check the link, then send it again.",
     "stale-state": "The device has moved since. Check where it is, then send it again.",
@@ -135,9 +129,7 @@ export const commands = {
     "not-owner": "Grab the token first.",
     "older-fence": "The token was taken meanwhile. Grab it again.",
     "try-later": "Send it again in a moment.",
-    "no-answer": "Check who is in the channel, and that its program runs.",
     denied: "You may not do this. Ask an operator.",
-    ended: "Check where the device is before you send anything again.",
   } as Record<string, string>,
 };
 
@@ -258,7 +250,7 @@ export const objects = {
   delay: (ms: number) => `commands take ${duration(ms)}`,
   sent: (count: number) => (count === 1 ? "1 command" : `${count} commands`),
   ending: "Ending: waiting for the robot to rest",
-  states: { aligned: "Aligned", failed: "Failed", cancelled: "Cancelled", lost: "The agent lost the token" } as Record<string, string>,
+  states: { done: "Aligned", failed: "Failed", cancelled: "Cancelled", lost: "The agent lost the token" } as Record<string, string>,
   silent: "The agent does not answer. Check who is in its channel.",
   back: "The token is yours again.",
   reset: "Reset the lab…",
@@ -285,7 +277,7 @@ export const calibrate = {
   noCamera: "No camera is known here.",
   pose: (pose: number, of: number) => `Pose ${pose} of ${of}`,
   rms: (pixels: number) => `RMS ${pixels.toFixed(3)} px`,
-  states: { calibrated: "Calibrated", failed: "Failed", cancelled: "Cancelled" } as Record<string, string>,
+  states: { done: "Calibrated", failed: "Failed", cancelled: "Cancelled" } as Record<string, string>,
 };
 
 export const chat = {

@@ -90,7 +90,6 @@ export const fleet = {
   what: (what: string, words: string, count: number) => `${what} ${count === 1 ? "robot" : "robots"} ${words}`,
   guard: (unit: number) => `No token is known to guard robot ${unit}.`,
   needs: (token: string) => `Only the owner of ${token} sends commands there: grab it first.`,
-  nobodyObeys: (path: string) => `No device in ${path} can obey: check that the gateway runs.`,
   more: (count: number) => `and ${count} more`,
   dismissAll: "Dismiss all",
 
@@ -160,7 +159,7 @@ export const fleet = {
     grabThem: "Grab the tokens",
   },
 
-  became: { sending: "sending", sent: "sent", waiting: "waiting at the robot", executing: "executing", finished: "finished", error: "error", refused: "refused" } as Record<string, string>,
+  became: { sending: "sending", again: "sent again soon", sent: "sent", waiting: "waiting at the robot", executing: "executing", finished: "finished", error: "error", refused: "refused" } as Record<string, string>,
   tally: (counts: readonly (readonly [string, number])[]) => counts.map(([state, count]) => `${count} ${state}`).join(", "),
   took: (ms: number) => `in ${duration(ms)}`,
 
@@ -190,6 +189,5 @@ export const fleet = {
     owned: (owner: string | undefined) => (owner === undefined ? "its token is free" : `its token is ${owner}'s`),
     finished: (statement: string) => `finished ${statement}`,
     failed: (statement: string, text: string) => `${statement}: ${text}`,
-    lostToken: (path: string, reason: string, by: string | undefined) => `you lost ${path}: ${reason}${by === undefined ? "" : `, by ${by}`}`,
   },
 };

@@ -79,7 +79,7 @@ export const simulacrum = {
 
   sent: "Sent",
   sentNone: "Nothing sent to this robot from this page yet.",
-  became: { sending: "sending", sent: "sent", waiting: "waiting at the robot’s middle", executing: "executing", finished: "finished", error: "error", refused: "refused" } as Record<string, string>,
+  became: { sending: "sending", again: "sent again soon", sent: "sent", waiting: "waiting at the robot’s middle", executing: "executing", finished: "finished", error: "error", refused: "refused" } as Record<string, string>,
   took: (ms: number) => `in ${duration(ms)}`,
   what: (statement: string) => statement,
   grab: "Grab the token",

@@ -14,6 +14,8 @@ export interface Failure {
   rule?: string | undefined;
   owner?: string | undefined;
   retryAfter?: number | undefined;
+  /** What to do, where that was said. */
+  hint?: string | undefined;
   content: PlainFields;
 }
 
@@ -192,8 +194,17 @@ export interface StopReport {
   trying: string[];
 }
 
+/**
+ * Ids of messages that the page wants to know; those of the client itself are far below. A page that is loaded anew may get the name
+ * of the one before, and what devices say of that one's messages must not be taken for its own. Even ones are the worker's, odd ones the
+ * page's.
+ */
+export const firstId = (): number => Date.now() * 1024;
+
 /** What a message says beside its content, by the names of mom-client. */
 export interface SendOptions {
+  /** Where the page wants to know it before the receipt. */
+  id?: number;
   to?: string[];
   priority?: number;
   expires?: number;

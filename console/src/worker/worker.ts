@@ -6,7 +6,7 @@ import { Jogging } from "./jogging.js";
 import { OrderedStops, isWithin } from "./ordered.js";
 import { answerFields, failure, plainFields } from "./plain.js";
 import type { Say } from "./port.js";
-import type { CallName, Calls, Owned, Question } from "./protocol.js";
+import { type CallName, type Calls, type Owned, type Question, firstId } from "./protocol.js";
 import { unreachedSince } from "./rest.js";
 import { Session } from "./session.js";
 import { Standing } from "./standing.js";
@@ -15,12 +15,6 @@ import { Troubles } from "./troubles.js";
 
 /** What answers each call; the answer may take its time. */
 type Answers = { [Name in CallName]: (...args: Parameters<Calls[Name]>) => ReturnType<Calls[Name]> | Promise<ReturnType<Calls[Name]>> };
-
-/**
- * Ids of messages that the page wants to know; those of the client itself are far below. A page that is loaded anew may get the name
- * of the one before, and what devices say of that one's messages must not be taken for its own.
- */
-const FIRST_ID = Date.now() * 1024;
 
 /** The minor version of the protocol from which hubs have cards of devices. */
 const WITH_CARDS = 4;
@@ -35,7 +29,7 @@ function ahead(client: Client, parcel: Parcel): number {
 /** Serves one page over a port. */
 export function serve(port: { postMessage: (word: unknown, transfer: Transferable[]) => void; onmessage: ((event: MessageEvent) => void) | null }): void {
   const say: Say = (word, transfer = []) => port.postMessage(word, transfer);
-  let nextId = FIRST_ID;
+  let nextId = firstId();
   const session = new Session(say, (client) => {
     feeds.reset(client);
     asking.reset(client);
@@ -79,12 +73,11 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
     shown: (id) => feeds.shown(id),
     pictureFile: (id) => feeds.pictureFile(id),
     send: async (path, name, content, options = {}) => {
-      const { to, basedOn, stop, ...slots } = options;
+      const { to, basedOn, stop, id = (nextId += 2), ...slots } = options;
       if (name === "unstop" && stop === undefined) throw new MomError("local", "bad-slot", "unstop requires the newest stop that you have seen, and there is none here");
       const before = ordered.count(path);
       await session.client.channel(path);
       if (name === "command" && ordered.count(path) !== before) throw new MomError("local", "stopped", "STOP was pressed before it was sent");
-      const id = ++nextId;
       const parcel: Parcel = { family: "message", name, context: path, id, receipt: true, ...slots };
       if (content !== undefined) parcel.content = content;
       if (to) parcel.address = to;

@@ -1,10 +1,6 @@
 // The agent that calibrates cameras (lab/calibrate): how it is asked, and what it tells.
 import { number } from "../../hub/fields.js";
-import { texts } from "../../texts/index.js";
 import type { PlainFields } from "../../worker/protocol.js";
-import type { Manner } from "../objects/agent.svelte.js";
-
-export const CALIBRATE: Manner = { verb: "calibrate", asker: "by", done: "calibrated", states: texts.calibrate.states };
 
 /** In so many poses it looks at most, and at least. */
 export const [FEWEST, MOST] = [6, 500];

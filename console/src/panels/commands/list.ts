@@ -148,12 +148,3 @@ export function restore(saved: string | null): Items {
     return [item];
   });
 }
-
-/** Why a command was not taken that will be a little later, though nothing about it changes; undefined if it is refused for good. */
-export function obstacle(failure: Failure): "stands" | "moment" | undefined {
-  const { code, content } = failure;
-  if (content["retry"] === true && (code === "changing-hands" || code === "link")) return "stands";
-  if (content["retry"] === true && ["stale-state", "no-state", "too-old"].includes(code)) return "moment";
-  // The hub gives it to nobody then.
-  return code === "try-later" ? "moment" : undefined;
-}

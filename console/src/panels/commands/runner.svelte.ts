@@ -1,47 +1,20 @@
-// Sends the commands of a list one after the other, and follows what becomes of them, as `mom run` does.
+// Sends the commands of a list one after the other, and tells what becomes of them, as `mom run` does.
+import { type News, local } from "../../hub/carrier.js";
 import type { Card } from "../../hub/card.js";
 import { type Carded, carded } from "../../hub/cards.svelte.js";
-import { DeviceState, type Status } from "../../hub/device.svelte.js";
-import { HubError, failureOf } from "../../hub/failure.js";
-import { number } from "../../hub/fields.js";
+import { DeviceState } from "../../hub/device.svelte.js";
 import type { Hub } from "../../hub/hub.svelte.js";
 import { texts } from "../../texts/index.js";
 import type { Failure } from "../../worker/protocol.js";
-import { type Item, type Items, clearFinished, isOpen, next, obstacle, progress, restore, save } from "./list.js";
+import { type Item, type Items, clearFinished, isOpen, next, progress, restore, save } from "./list.js";
 import { isRelative, read } from "./script.js";
-
-/** How long a device may take for its first word of a command, and how long to end what its last owner has begun, in ms. */
-const ANSWER = 10_000;
-const STANDING = 60_000;
-const MOMENT = 300;
 
 /** The key of a command that is in no list. */
 const NO_KEY = -1;
+/** Between two commands it is looked so often whether the rest may be sent still, ms. */
+const LOOK = 50;
 
 const t = texts.commands;
-
-/** Waits until something is there, undefined after so many ms. */
-function until<T>(probe: () => T | undefined, ms = Infinity): Promise<T | undefined> {
-  return new Promise((resolve) => {
-    let timer: ReturnType<typeof setTimeout> | undefined;
-    const finish = (value: T | undefined): void => {
-      clearTimeout(timer);
-      queueMicrotask(() => end());
-      resolve(value);
-    };
-    const end = $effect.root(() => {
-      $effect(() => {
-        const value = probe();
-        if (value !== undefined) finish(value);
-      });
-    });
-    if (ms !== Infinity) timer = setTimeout(() => finish(undefined), ms);
-  });
-}
-
-function local(code: string, text: string): Failure {
-  return { kind: "local", code, text, content: {} };
-}
 
 export class CommandList {
   items = $state.raw<Items>([]);
@@ -57,7 +30,6 @@ export class CommandList {
   readonly #carded: Carded;
   #attached = 0;
   #watching: (() => void) | undefined;
-  #lost: string | undefined;
 
   constructor(
     readonly hub: Hub,
@@ -70,10 +42,6 @@ export class CommandList {
     } catch {
       // A browser without storage keeps nothing.
     }
-    hub.onOwned((token, owned, reason, by) => {
-      if (owned !== null || token !== this.device.token) return;
-      this.#lost = texts.token.lost(token, texts.token.reasons[reason ?? ""] ?? reason ?? "", by);
-    });
   }
 
   get #place(): string {
@@ -182,7 +150,7 @@ export class CommandList {
   async once(text: string): Promise<Failure | null> {
     const hindered = this.running ? t.underWay : this.hindrance;
     if (hindered !== undefined) return local("hindered", hindered);
-    [this.running, this.pausing, this.halted, this.#lost] = ["one", false, undefined, undefined];
+    [this.running, this.pausing, this.halted] = ["one", false, undefined];
     const failure = await this.#carryOut({ key: NO_KEY, text }, this.#over());
     [this.running, this.pausing] = [undefined, false];
     this.#rest();
@@ -197,18 +165,19 @@ export class CommandList {
     return () => {
       if (hub.stopsOrdered(this.path) !== ordered) return t.stopOrdered;
       if (hub.link.state !== "connected" && hub.link.state !== "stale") return t.linkLost;
-      if (hub.owned.get(device.token ?? "")?.fence !== fence) return this.#lost ?? t.tokenLost;
+      if (hub.owned.get(device.token ?? "")?.fence !== fence) return t.tokenLost;
       return undefined;
     };
   }
 
   async #run(what: "all" | "one", following: () => Item | undefined): Promise<void> {
     if (this.running || this.hindrance !== undefined) return;
-    [this.running, this.pausing, this.halted, this.#lost] = [what, false, undefined, undefined];
+    [this.running, this.pausing, this.halted] = [what, false, undefined];
     const over = this.#over();
     let first = true;
     for (let item = following(); item; item = following()) {
-      if (!first && this.between > 0) await until(over, this.between);
+      const from = first ? 0 : performance.now() + this.between;
+      while (performance.now() < from && over() === undefined) await new Promise((resolve) => setTimeout(resolve, LOOK));
       first = false;
       const hindered = this.pausing ? (this.halted ?? t.paused) : over();
       if (hindered !== undefined) {
@@ -226,87 +195,27 @@ export class CommandList {
     this.#rest();
   }
 
-  /** One command to its end, tried again where that is sure to help; why it failed, null if it has finished. */
+  /** One command to its end; why it failed, null if it has finished. */
   async #carryOut({ key, text }: Pick<Item, "key" | "text">, over: () => string | undefined): Promise<Failure | null> {
     const begun = performance.now();
-    let relative = this.card !== undefined && isRelative(text, this.card);
-    for (;;) {
+    const send = (relative: boolean): Promise<Failure | null> => {
       this.#progress(key, { state: "sending", error: undefined, statement: 0, of: 0, took: undefined });
-      const failure = await this.#attempt(key, text, relative, over);
-      // A device without a card says only by its refusal that a command is relative.
-      if (failure?.code === "no-state" && !relative && over() === undefined) {
-        relative = true;
-        continue;
-      }
-      const took = performance.now() - begun;
-      if (!failure) {
-        this.#progress(key, { state: "finished", trying: undefined, took });
-        return null;
-      }
-      const waits = took < STANDING && over() === undefined ? obstacle(failure) : undefined;
-      if (waits === undefined || !(await this.#wait(key, failure, waits, over))) {
-        this.#progress(key, { state: "error", error: failure, trying: undefined, took });
-        this.hub.note("error", t.noted(this.path, text, failure.text), failure);
-        return failure;
-      }
-    }
-  }
-
-  /** Waits until it may be tried again; false if that is not to be. */
-  async #wait(key: number, failure: Failure, waits: "stands" | "moment", over: () => string | undefined): Promise<boolean> {
-    this.#progress(key, { state: "sending", trying: failure.text });
-    if (waits === "moment") return (await until(over, failure.retryAfter ?? MOMENT)) === undefined;
-    const fence = this.hub.owned.get(this.device.token ?? "")?.fence ?? 0;
-    const stands = await until(() => {
-      if (over() !== undefined) return false;
-      const { state } = this.device;
-      return state["linked"] !== false && state["moving"] !== true && (number(state, "fence") ?? -1) >= fence ? true : undefined;
-    }, STANDING);
-    return stands === true;
-  }
-
-  /** Why it failed; null if it has finished. */
-  async #attempt(key: number, text: string, relative: boolean, over: () => string | undefined): Promise<Failure | null> {
-    const { device, hub } = this;
-    let id: number;
-    try {
-      if (relative) {
-        // It counts from a state in which the device stands: of one that moves still none holds.
-        await until(() => (over() !== undefined || (device.stateId !== undefined && !device.moving) ? true : undefined), ANSWER);
-        const why = over();
-        if (why !== undefined) throw new HubError(local("ended", why));
-        if (device.stateId === undefined) throw new HubError(local("no-answer", t.silent));
-      }
-      id = await device.command(text, { relative });
-    } catch (error) {
-      return failureOf(error);
-    }
-    let seen: Status | undefined;
-    const news = (): Status | undefined => {
-      const status = device.status(id);
-      return status && status !== seen ? status : undefined;
+      return this.device.carryOut({ text, ...(relative ? { basedOn: "newest" } : {}) }, (news) => this.#tell(key, news));
     };
-    for (;;) {
-      const word = await until<Status | string>(() => news() ?? over(), seen ? Infinity : ANSWER);
-      if (word === undefined) return local("no-answer", t.silent);
-      if (typeof word === "string") {
-        // The device's own last word may be on its way still.
-        const last = hub.me ? await until(() => [device.status(id)].find((status) => status?.state === "finished" || status?.state === "error"), 1000) : undefined;
-        if (last?.state === "finished") return null;
-        return last?.error ? { ...last.error, text: `${word} ${texts.commands.deviceSays(last.error.text)}` } : local("ended", `${word} ${t.halts}`);
-      }
-      seen = word;
-      const { state, statement, of, error } = word;
-      if (state === "finished") {
-        this.#progress(key, { statement, of });
-        return null;
-      }
-      if (state === "error") {
-        this.#progress(key, { statement, of });
-        return error ?? local("error", t.noWords);
-      }
-      this.#progress(key, { state: state === "executing" ? "executing" : "taken", statement, of, trying: undefined });
-    }
+    const relative = this.card !== undefined && isRelative(text, this.card);
+    let failure = await send(relative);
+    // A device without a card says only by its refusal that a command is relative.
+    if (failure?.code === "no-state" && !relative && over() === undefined) failure = await send(true);
+    const took = performance.now() - begun;
+    this.#progress(key, { state: failure ? "error" : "finished", error: failure ?? undefined, trying: undefined, took });
+    if (failure) this.hub.note("error", t.noted(this.path, text, failure.text), failure);
+    return failure;
+  }
+
+  #tell(key: number, { became, statement = 0, of = 0, why }: News): void {
+    if (became === "again") this.#progress(key, { state: "sending", trying: why });
+    const state = became === "waiting" ? "taken" : became;
+    if (state === "taken" || state === "executing") this.#progress(key, { state, statement, of, trying: undefined });
   }
 }
 

@@ -1,23 +1,17 @@
 // Driving several robots at once: their tokens, what is sent to them, and what became of it.
-import { refusalOf } from "../../hub/device.svelte.js";
+import { type Became, Carrier, type News, isOver, local as failureHere } from "../../hub/carrier.js";
 import { HubError, failureOf } from "../../hub/failure.js";
-import { fields, number, text } from "../../hub/fields.js";
+import { fields, text } from "../../hub/fields.js";
 import type { Hub } from "../../hub/hub.svelte.js";
 import { fleet as t } from "../../texts/fleet.js";
 import { texts } from "../../texts/index.js";
-import type { Failure, HubEvent, Message, StandingStop } from "../../worker/protocol.js";
+import type { Failure, StandingStop } from "../../worker/protocol.js";
 import { type Line, Log } from "./log.svelte.js";
 import type { FleetState } from "./state.svelte.js";
 import { wordsOf } from "./units.js";
 
 /** Robots that are spoken to at the same time. */
 const ABREAST = 16;
-/** A robot's channel is heard for so long after the last command's end, ms. */
-const LINGER = 15_000;
-/** What a robot said of a command before the hub told this page the command's number. */
-const EARLY = 200;
-
-export type Became = "sending" | "sent" | "waiting" | "executing" | "finished" | "error" | "refused";
 
 export interface Outgoing extends Line {
   statement: string;
@@ -33,9 +27,6 @@ export interface Refused {
   units: number[];
   failure: Failure;
 }
-
-const OVER = new Set<Became>(["finished", "error", "refused"]);
-export const isOver = (became: Became): boolean => OVER.has(became);
 
 /** Does it for all, so many at a time; what fails is gathered, alike with alike. */
 async function each(what: string, units: readonly number[], work: (unit: number) => Promise<void>, abreast = ABREAST): Promise<{ done: number[]; refused: Refused[] }> {
@@ -60,7 +51,7 @@ async function each(what: string, units: readonly number[], work: (unit: number)
   return { done, refused: [...refused.values()] };
 }
 
-const local = (code: string, words: string): HubError => new HubError({ kind: "local", code, text: words, content: {} });
+const local = (code: string, words: string): HubError => new HubError(failureHere(code, words));
 
 export class FleetDriver {
   readonly outgoing = new Log<Outgoing>();
@@ -75,10 +66,7 @@ export class FleetDriver {
   readonly #base: string;
   readonly #asked = new Map<number, Promise<string>>();
   readonly #guards = new Map<string, Set<number>>();
-  readonly #heard = new Map<number, { ready: Promise<void>; end: () => void; timer: ReturnType<typeof setTimeout> | undefined }>();
-  /** Commands under way, by number. */
-  readonly #open = new Map<number, Outgoing>();
-  readonly #early = new Map<number, Message>();
+  readonly #carriers = new Map<number, Carrier>();
   /** The stops that this page knows of, by channel. */
   readonly #standing: ReadonlyMap<string, StandingStop>;
 
@@ -115,17 +103,12 @@ export class FleetDriver {
     const end = this.hub.onOwned((path, owned, reason, by) => {
       const units = this.#guards.get(path);
       if (owned !== null || !units || reason === "released") return;
-      const words = t.logs.lostToken(path, texts.token.reasons[reason ?? ""] ?? reason ?? "", by);
+      const words = texts.token.lost(path, reason, by);
       this.fleet.incoming.add([...units].map((unit) => ({ at: Date.now(), unit, text: words, tone: "warning" as const })));
     });
     return () => {
       end();
-      for (const heard of this.#heard.values()) {
-        clearTimeout(heard.timer);
-        heard.end();
-      }
-      this.#heard.clear();
-      this.#open.clear();
+      for (const carrier of this.#carriers.values()) carrier.drop();
     };
   }
 
@@ -238,8 +221,7 @@ export class FleetDriver {
       try {
         await this.#command(line, options.expires, going);
       } catch (error) {
-        this.#become(line, "refused", failureOf(error));
-        this.#linger(unit);
+        this.#become(line, { became: "refused", failure: failureOf(error) });
         throw error;
       }
     });
@@ -249,98 +231,36 @@ export class FleetDriver {
     return { keys: lines.map(({ key }) => key), refused };
   }
 
+  /** Sends it, and tells what becomes of it; fails if no robot has it. */
   async #command(line: Outgoing, expires: number | undefined, going: (unit: number) => void): Promise<void> {
     const { unit, statement } = line;
-    const path = this.channel(unit);
     going(unit);
     const token = await this.tokenOf(unit);
-    const owned = this.hub.owned.get(token);
-    if (!owned) throw local("not-owner", t.needs(token));
-    await this.#listen(unit);
+    if (!this.hub.owned.has(token)) throw local("not-owner", t.needs(token));
     going(unit);
-    const sent = await this.hub.call("send", path, "command", statement, { echo: false, fence: owned.fence, ...(expires === undefined ? {} : { expires }) });
-    if (sent.delivered === 0) throw local("no-answer", t.nobodyObeys(path));
-    this.#open.set(sent.id, line);
-    if (line.became === "sending") this.#become(line, "sent");
-    const early = this.#early.get(sent.id);
-    if (early) this.#status(sent.id, early);
-  }
-
-  /** Hears what a robot says of commands. */
-  #listen(unit: number): Promise<void> {
-    const known = this.#heard.get(unit);
-    if (known) {
-      clearTimeout(known.timer);
-      known.timer = undefined;
-      return known.ready;
-    }
-    let end = (): void => undefined;
-    const ready = new Promise<void>((resolve, reject) => {
-      end = this.hub.watch(
-        { path: this.channel(unit), kind: "channel", names: ["status"] },
-        {
-          joined: () => resolve(),
-          events: (events) => this.#events(unit, events),
-          failed: (failure) => {
-            this.#forget(unit);
-            reject(new HubError(failure));
-          },
-        },
-      );
+    const carrier = this.#carriers.get(unit) ?? new Carrier(this.hub, this.channel(unit));
+    this.#carriers.set(unit, carrier);
+    await new Promise<void>((resolve, reject) => {
+      const command = { text: statement, ...(expires === undefined ? {} : { expires }) };
+      const over = carrier.carryOut(command, token, (news) => {
+        this.#become(line, news);
+        if (news.became === "sent") resolve();
+      });
+      void over.then((failure) => (line.became === "refused" ? reject(new HubError(failure!)) : resolve()));
     });
-    this.#heard.set(unit, { ready, end, timer: undefined });
-    return ready;
   }
 
-  #forget(unit: number): void {
-    this.#heard.get(unit)?.end();
-    this.#heard.delete(unit);
-  }
-
-  #events(unit: number, events: readonly HubEvent[]): void {
-    for (const event of events) {
-      if (event.type !== "message") continue;
-      const message = event as Message;
-      const said = fields(message.content);
-      const id = number(said, "id");
-      if (id === undefined || text(said, "peer") !== this.hub.me?.peer) continue;
-      if (this.#open.has(id)) this.#status(id, message);
-      else {
-        this.#early.set(id, message);
-        if (this.#early.size > EARLY) this.#early.delete(this.#early.keys().next().value!);
-      }
-    }
-    this.#linger(unit);
-  }
-
-  /** Its channel is left some time after the last command has ended. */
-  #linger(unit: number): void {
-    const heard = this.#heard.get(unit);
-    if (!heard || [...this.#open.values()].some((line) => line.unit === unit)) return;
-    clearTimeout(heard.timer);
-    heard.timer = setTimeout(() => this.#forget(unit), LINGER);
-  }
-
-  #status(id: number, { content, arrived }: Message): void {
-    const line = this.#open.get(id);
-    const said = fields(content);
-    const state = text(said, "state");
-    if (!line || (state !== "waiting" && state !== "executing" && state !== "finished" && state !== "error")) return;
-    this.#become(line, state, refusalOf(fields(said["error"])));
-    if (!isOver(state)) return;
-    this.#open.delete(id);
-    this.#early.delete(id);
-    const { unit, statement, failure } = line;
-    const words = state === "finished" ? t.logs.finished(statement) : t.logs.failed(statement, failure?.text ?? texts.commands.noWords);
-    this.fleet.incoming.add([{ at: arrived, unit, text: words, tone: state === "finished" ? "good" : "danger" }]);
-  }
-
-  #become(line: Outgoing, became: Became, failure?: Failure): void {
+  #become(line: Outgoing, { became, failure }: News): void {
     // A command's end is its last word, whatever comes late.
     if (isOver(line.became)) return;
     [line.became, line.failure] = [became, failure];
     if (isOver(became)) line.took = Date.now() - line.at;
     this.outgoing.change(line.key, { became, failure, took: line.took });
-    if (isOver(became)) for (const hear of this.onEnd) hear(line);
+    if (!isOver(became)) return;
+    for (const hear of this.onEnd) hear(line);
+    if (became === "refused") return;
+    const { unit, statement } = line;
+    const words = failure ? t.logs.failed(statement, failure.text) : t.logs.finished(statement);
+    this.fleet.incoming.add([{ at: Date.now(), unit, text: words, tone: failure ? "danger" : "good" }]);
   }
 }

@@ -53,7 +53,11 @@ export class Repeat {
   watch(): () => void {
     const hidden = (): void => void (document.visibilityState !== "visible" && this.end("hidden"));
     const stopped = (top: string): void => void (this.now?.units.some((unit) => isWithin(this.driver.channel(unit), top)) && this.end("stop"));
-    const failed = ({ key, became }: Outgoing): void => void (became !== "finished" && this.#all.has(key) && this.end("refused"));
+    const failed = ({ key, unit, failure }: Outgoing): void => {
+      if (!failure || !this.now || !this.#all.has(key)) return;
+      this.end("refused");
+      this.driver.refuse([{ what: t.whats["send"]!, units: [unit], failure }]);
+    };
     this.driver.onEnd.add(failed);
     document.addEventListener("visibilitychange", hidden);
     const end = this.driver.hub.onStop(stopped);

@@ -247,10 +247,10 @@ export class Driver {
 
   /** The arm's word to what is told to it: while it is driven, nothing else is. */
   #hear(): void {
-    const { drive, device, hub } = this;
+    const { drive, device } = this;
     if (drive.phase !== "drive") return;
-    const refusal = [...device.statuses.values()].findLast(({ peer, state, arrived }) => peer === hub.me?.peer && state === "error" && arrived >= drive.since);
-    if (refusal) this.#note(refusal.error ?? { kind: "refused", code: "error", text: "", content: {} });
+    const refusal = device.refused;
+    if (refusal && refusal.arrived >= drive.since) this.#note(refusal.error ?? { kind: "refused", code: "error", text: "", content: {} });
   }
 
   #said = 0;

@@ -10,18 +10,6 @@ import type { Failure, HubEvent, Message, PlainFields } from "../../worker/proto
 /** ms in which an agent says whether it takes a task, or how far it is. */
 const PATIENCE = 15_000;
 
-/** What is particular to one agent. */
-export interface Manner {
-  /** The message by which it is asked; what it says to that if it will not is called the same, with `-refused`. */
-  verb: string;
-  /** The field of its progress that names who asked. */
-  asker: string;
-  /** The state in which its work is done. */
-  done: string;
-  /** Its last states, in words. */
-  states: Record<string, string>;
-}
-
 /** While it is `ending`, the token is on its way back, and the device is waited for. */
 const WORKING = ["accepted", "working", "ending"];
 
@@ -41,7 +29,10 @@ export class AgentTask {
   constructor(
     readonly hub: Hub,
     readonly channel: string,
-    readonly manner: Manner,
+    /** The message by which it is asked; what it says to that if it will not is called the same, with `-refused`. */
+    readonly verb: string,
+    /** Its last states, in words. */
+    readonly states: Record<string, string>,
   ) {}
 
   get busy(): boolean {
@@ -51,13 +42,13 @@ export class AgentTask {
   /** Its last state, if the task is over and it has told one. */
   get outcome(): string | undefined {
     const state = text(this.report, "state") ?? "";
-    return this.phase === "over" && state in this.manner.states ? state : undefined;
+    return this.phase === "over" && state in this.states ? state : undefined;
   }
 
   /** Hears the agent until the function that it gives is called. */
   start(): () => void {
     const end = this.hub.watch(
-      { path: this.channel, kind: "channel", names: ["progress", `${this.manner.verb}-refused`, "cancel-refused"] },
+      { path: this.channel, kind: "channel", names: ["progress", `${this.verb}-refused`, "cancel-refused"] },
       { events: (events) => events.forEach((event) => this.#heard(event)) },
     );
     // It is neither lent the token after a stop, nor does it go on when the device is let go.
@@ -75,7 +66,7 @@ export class AgentTask {
     [this.#terms, this.#token] = [terms, token];
     this.#await();
     try {
-      const { id, delivered } = await this.hub.call("send", this.channel, this.manner.verb, { ...task }, { echo: false });
+      const { id, delivered } = await this.hub.call("send", this.channel, this.verb, { ...task }, { echo: false });
       this.#id = id;
       if (delivered === 0) this.#fail(this.#silence());
       for (const message of this.#early.splice(0)) this.#heard(message);
@@ -114,11 +105,11 @@ export class AgentTask {
     const message = event as Message;
     const said = fields(message.content);
     if (message.name === "progress") {
-      if (text(said, this.manner.asker) === this.hub.me?.peer && !message.history) this.#progress(said);
+      if (text(said, "by") === this.hub.me?.peer && !message.history) this.#progress(said);
       return;
     }
     if (this.#id === undefined) return void this.#early.push(message);
-    if (message.name === `${this.manner.verb}-refused` && message.reference === this.#id) this.#fail(refusalOf(said) ?? { ...this.#silence(), kind: "refused", code: "refused", content: said });
+    if (message.name === `${this.verb}-refused` && message.reference === this.#id) this.#fail(refusalOf(said) ?? { ...this.#silence(), kind: "refused", code: "refused", content: said });
     if (message.name === "cancel-refused") this.failure = refusalOf(said) ?? null;
   }
 
@@ -132,7 +123,7 @@ export class AgentTask {
     }
     clearTimeout(this.#timer);
     this.phase = "over";
-    this.hub.note(state === this.manner.done ? "info" : "warning", `${this.manner.states[state] ?? state}: ${text(said, "text") ?? ""}`);
+    this.hub.note(state === "done" ? "info" : "warning", `${this.states[state] ?? state}: ${text(said, "text") ?? ""}`);
   }
 
   async #lend(agent: string): Promise<void> {

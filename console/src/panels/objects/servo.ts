@@ -2,9 +2,6 @@
 import { number } from "../../hub/fields.js";
 import { texts } from "../../texts/index.js";
 import type { PlainFields } from "../../worker/protocol.js";
-import type { Manner } from "./agent.svelte.js";
-
-export const SERVO: Manner = { verb: "align", asker: "peer", done: "aligned", states: texts.objects.states };
 
 /** What it says of the error, the pictures and the commands, in words. */
 export function factsOf(report: PlainFields): string[] {

@@ -1,14 +1,12 @@
 // Statements to a mirrored robot, and what became of each.
+import { type Became, isOver } from "../../hub/carrier.js";
 import { DeviceState } from "../../hub/device.svelte.js";
-import { failureOf } from "../../hub/failure.js";
 import type { Hub } from "../../hub/hub.svelte.js";
 import { texts } from "../../texts/index.js";
 import type { Failure } from "../../worker/protocol.js";
 
 /** Statements that are kept, the newest. */
 const MOST = 50;
-
-export type Became = "sending" | "sent" | "waiting" | "executing" | "finished" | "error" | "refused";
 
 export interface Order {
   key: number;
@@ -21,19 +19,10 @@ export interface Order {
   took: number | undefined;
 }
 
-interface Sent {
-  key: number;
-  at: number;
-  statement: string;
-  id: number | undefined;
-  refused: Failure | undefined;
-}
-
-const isState = (word: string | undefined): word is "waiting" | "executing" | "finished" | "error" => word === "waiting" || word === "executing" || word === "finished" || word === "error";
-
 export class Orders {
   readonly device: DeviceState;
-  #sent = $state.raw<readonly Sent[]>([]);
+  /** The newest first. */
+  list = $state.raw<readonly Order[]>([]);
   #last = 0;
 
   constructor(
@@ -41,17 +30,6 @@ export class Orders {
     readonly path: string,
   ) {
     this.device = new DeviceState(hub, path);
-  }
-
-  /** The newest first. */
-  readonly list: readonly Order[] = $derived(this.#sent.map((sent) => this.#orderOf(sent)));
-
-  #orderOf({ key, at, statement, id, refused }: Sent): Order {
-    if (refused) return { key, at, statement, became: "refused", failure: refused, took: undefined };
-    const status = this.device.status(id);
-    const became = isState(status?.state) ? status.state : id === undefined ? "sending" : "sent";
-    const took = status && (became === "finished" || became === "error") ? Math.max(0, status.arrived - at) : undefined;
-    return { key, at, statement, became, failure: status?.error, took };
   }
 
   /** Watches the robot until the function that it gives is called. */
@@ -72,21 +50,18 @@ export class Orders {
   }
 
   /** Sends a statement under the token that this page owns; its key. */
-  async send(statement: string): Promise<number> {
-    const key = ++this.#last;
-    this.#sent = [{ key, at: Date.now(), statement, id: undefined, refused: undefined }, ...this.#sent].slice(0, MOST);
-    const change = (by: Partial<Sent>): void => void (this.#sent = this.#sent.map((sent) => (sent.key === key ? { ...sent, ...by } : sent)));
-    try {
-      change({ id: await this.device.command(statement) });
-    } catch (error) {
-      const failure = failureOf(error);
-      change({ refused: failure });
-      this.hub.note("error", texts.commands.noted(this.path, statement, failure.text), failure);
-    }
+  send(statement: string): number {
+    const [key, at] = [++this.#last, Date.now()];
+    this.list = [{ key, at, statement, became: "sending" as const, failure: undefined, took: undefined }, ...this.list].slice(0, MOST);
+    void this.device.carryOut({ text: statement }, ({ became, failure }) => {
+      const took = isOver(became) && became !== "refused" ? Date.now() - at : undefined;
+      this.list = this.list.map((order) => (order.key === key ? { ...order, became, failure, took } : order));
+      if (failure) this.hub.note("error", texts.commands.noted(this.path, statement, failure.text), failure);
+    });
     return key;
   }
 
   dismiss(key: number): void {
-    this.#sent = this.#sent.filter((sent) => sent.key !== key);
+    this.list = this.list.filter((order) => order.key !== key);
   }
 }
