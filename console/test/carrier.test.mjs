@@ -44,7 +44,7 @@ function stage(t) {
     hub, carrier, asked, heard, tell,
     sends: () => asked.filter(({ name }) => name === "send").map(({ args: [, , text, { fence, basedOn, expires }] }) => [text, fence, ...[basedOn, expires].filter((slot) => slot !== undefined)]),
     state: (content) => message("state", content),
-    status: (of, state, error) => message("status", { peer: "alice", id: ids()[of], state, statement: 1, of: 1, ...(error ? { error } : {}) }),
+    status: (of, state, error) => message("status", { peer: "alice", id: ids()[of], state, statement: error?.retry || state === "waiting" ? 0 : 1, of: 1, ...(error ? { error } : {}) }),
     happens: (type, what) => take({ type, path: PATH, what, arrived: 0 }),
     isHeard: () => watcher !== undefined,
     lose(reason, by) {
@@ -79,11 +79,12 @@ function stage(t) {
 const HANDS = { name: "changing-hands", code: 5105, text: "it ends what bob has begun", retry: true };
 
 test("a device that changes hands is waited for, and the command goes on under the same fence", async (t) => {
-  const { carry, sends, receipt, state, status } = stage(t);
+  const { carry, sends, receipt, state, status, pass } = stage(t);
   state({ moving: true, fence: 4 });
   const one = carry("home", { expires: 2000 });
   await receipt(0);
   status(0, "error", HANDS);
+  await pass(100);
   state({ moving: true, fence: 5 });
   assert.equal(sends().length, 1);
   state({ moving: false, fence: 5 });
@@ -215,7 +216,7 @@ test("while the link may be resumed what runs may go on, and nothing is sent; wi
   asked.at(-1).reject({ kind: "connection", code: "unknown", text: "it had left", content: {} });
   tell("link", { state: "closed" });
   await settled();
-  assert.match(running.failure.text, /^the connection to the hub is lost, and the token with it: the hub halts the device/);
+  assert.match(running.failure.text, /^the connection to the hub is lost, and the token with it; what became of the command is not known/);
   assert.match(late.failure.text, /^the connection to the hub is lost/);
 });
 

@@ -141,9 +141,9 @@ export class FakeRobot {
       const { name, sender, content, parcel } = event;
       if (name !== "command") continue;
       this.heard.push({ content, fence: parcel.fence, permitted: this.channel.permits(parcel) });
-      const status = (state, error) => this.channel.sendAcknowledged("status", { peer: sender, id: parcel.id, state, statement: 1, of: 1, ...(error ? { error } : {}) }, { echo: false });
+      const status = (state, error, statement = 1) => this.channel.sendAcknowledged("status", { peer: sender, id: parcel.id, state, statement, of: 1, ...(error ? { error } : {}) }, { echo: false });
       if (this.hindrance) {
-        await status("error", this.hindrance);
+        await status("error", this.hindrance, 0);
         continue;
       }
       await status("executing");

@@ -351,10 +351,9 @@ class Commander:
         if self._release is None:
             return
         self._released = asyncio.ensure_future(self._await_release(self._release))
+        # Who waits no more has been told that the hub has said nothing, also where the program ends before it does.
+        self._released.add_done_callback(lambda released: released.cancelled() or released.exception())
         await asyncio.wait([self._released])
-        # Who waits no more has been told that the hub has said nothing.
-        if not self._released.cancelled():
-            self._released.exception()
         self._act(self._course.released)
 
     async def _await_release(self, release: Callable[[], Awaitable[None]]) -> None:
