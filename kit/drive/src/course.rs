@@ -242,6 +242,7 @@ impl Course {
         };
         // From here on it may run, whether or not its receipt comes.
         self.runs = true;
+        self.reported = false;
         self.sent_at = self.now;
         self.early.clear();
         self.wait = Wait::Receipt {

@@ -208,7 +208,7 @@ export class Course {
   #send(to?: number): void {
     const { basedOn } = this.#command;
     // From here on it may run, whether or not its receipt comes.
-    this.#runs = true;
+    [this.#runs, this.#reported] = [true, false];
     this.#sentAt = this.#now;
     this.#early = [];
     this.#wait = { for: "receipt", until: this.#now + RECEIPT };

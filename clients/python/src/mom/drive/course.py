@@ -258,7 +258,7 @@ class Course:
         if self._basis == NEWEST and self._state is not None:
             on = self._state.id
         # From here on it may run, whether or not its receipt comes.
-        self._runs = True
+        self._runs, self._reported = True, False
         self._sent_at = self._now
         self._early.clear()
         self._await(_Wait.RECEIPT, _RECEIPT)
