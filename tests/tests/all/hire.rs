@@ -66,7 +66,7 @@ async fn hired() -> (Running, String, oneshot::Sender<()>) {
     let agent = join(&hub, "servo").await;
     let (end, ends) = oneshot::channel();
     tokio::spawn(mom_agent::run(agent, "/servo", Holder, async {
-        drop(ends.await)
+        drop(ends.await);
     }));
     (broker, hub, end)
 }
