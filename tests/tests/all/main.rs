@@ -27,7 +27,6 @@ mod fleet_web;
 mod gateways;
 mod guards;
 mod heartbeat;
-mod hire;
 
 mod lab_page;
 mod late;
