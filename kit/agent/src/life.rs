@@ -20,7 +20,8 @@ const LAST: Duration = Duration::from_secs(2);
 struct Job<T> {
     hired: Hired<T>,
     cancel: watch::Sender<Option<String>>,
-    work: JoinHandle<()>,
+    /// How it ended; none if it was refused.
+    work: JoinHandle<Option<Ended>>,
 }
 
 /// Runs an agent in its channel until `shutdown` is done; a task under way is cancelled then, and the token returned.
@@ -42,7 +43,10 @@ pub async fn run<T: Trade>(
     loop {
         tokio::select! {
             () = &mut shutdown => break,
-            () = ended(&mut job) => job = None,
+            // It takes the next one when it says that this has ended.
+            (hired, ended) = ended(&mut job) => if let Some(ended) = ended {
+                hired.tell_end(ended).await;
+            },
             event = events.next() => match event {
                 Some(Event::Message(parcel)) => hear(&client, &channel, &trade, &mut job, &parcel).await,
                 Some(Event::Left(member)) => {
@@ -59,8 +63,10 @@ pub async fn run<T: Trade>(
     if let Some(job) = job {
         job.cancel
             .send_replace(Some("the agent's program ends".to_owned()));
-        if timeout(LAST, job.work).await.is_err() {
-            tracing::warn!("the task did not end in time; the hub takes the token back");
+        match timeout(LAST, job.work).await {
+            Ok(Ok(Some(ended))) => job.hired.tell_end(ended).await,
+            Ok(_) => {}
+            Err(_) => tracing::warn!("the task did not end in time; the hub takes the token back"),
         }
     }
     client.close().await;
@@ -68,16 +74,20 @@ pub async fn run<T: Trade>(
 }
 
 /// Waits for the end of the task, if there is one.
-async fn ended<T>(job: &mut Option<Job<T>>) {
-    match job {
-        Some(job) => {
-            // One that broke down has lost its token with its guard.
-            if let Err(error) = (&mut job.work).await {
-                tracing::error!(%error, "the task failed with an internal error");
-            }
-        }
+async fn ended<T>(job: &mut Option<Job<T>>) -> (Hired<T>, Option<Ended>) {
+    let worked = match job.as_mut() {
+        Some(job) => (&mut job.work).await,
         None => pending().await,
-    }
+    };
+    let Some(job) = job.take() else {
+        return pending().await;
+    };
+    let ended = worked.unwrap_or_else(|error| {
+        // It has lost its token with its guard.
+        tracing::error!(%error, "the task failed with an internal error");
+        Some(Ended::new("failed", "the agent failed with an internal error"))
+    });
+    (job.hired, ended)
 }
 
 /// Why there are no more events.
@@ -145,8 +155,8 @@ fn busy<T: Trade>(job: &Job<T::Task>) -> WireError {
     WireError::new(Code::TRY_LATER, text)
 }
 
-/// Carries a task out, or refuses it.
-async fn carry_out<T: Trade>(trade: Arc<T>, hired: Hired<T::Task>) {
+/// Carries a task out, or refuses it; how it ended.
+async fn carry_out<T: Trade>(trade: Arc<T>, hired: Hired<T::Task>) -> Option<Ended> {
     let met = tokio::select! {
         met = trade.meet(&hired) => met,
         why = hired.ends() => Err(WireError::new(Code::TRY_LATER, why)),
@@ -156,7 +166,8 @@ async fn carry_out<T: Trade>(trade: Arc<T>, hired: Hired<T::Task>) {
         Err(error) => {
             tracing::info!(peer = hired.peer, %error, "refused");
             let name = format!("{}-refused", T::VERB);
-            return refuse(&hired.channel, &hired.peer, hired.id, &name, &error).await;
+            refuse(&hired.channel, &hired.peer, hired.id, &name, &error).await;
+            return None;
         }
     };
     // Before anything is asked for, so that no offer is missed.
@@ -166,9 +177,8 @@ async fn carry_out<T: Trade>(trade: Arc<T>, hired: Hired<T::Task>) {
         offered = hired.offered(&token, offers) => offered,
         why = hired.ends() => Err(Ended::new("cancelled", why)),
     };
-    let ended = match offered {
+    Some(match offered {
         Ok(holding) => trade.work(&hired, tools, holding).await,
         Err(ended) => ended,
-    };
-    hired.tell_end(ended).await;
+    })
 }

@@ -319,3 +319,30 @@ impl Halt {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn how_this_peer_lost_a_token() {
+        for (reason, by, words) in [
+            ("preempted", Some("carol"), "carol has a higher level and took it"),
+            ("expired", Some("bob"), "the time was over, and bob was next"),
+            ("expired", None, "the lease was over"),
+            ("disconnected", None, "the connection to the hub is lost"),
+            ("broken", Some("carol"), "carol took it away"),
+            ("given", Some("bob"), "bob has it now"),
+            ("returned", Some("bob"), "it returned to its giver"),
+            ("revoked", Some("carol"), "you may no longer be here"),
+            ("denied", Some("carol"), "denied by carol"),
+            ("denied", None, "denied"),
+        ] {
+            let lost = Lost {
+                reason: reason.to_owned(),
+                by: by.map(str::to_owned),
+            };
+            assert_eq!(loss_words(&lost), words);
+        }
+    }
+}

@@ -27,6 +27,7 @@ mod fleet_web;
 mod gateways;
 mod guards;
 mod heartbeat;
+mod hire;
 
 mod lab_page;
 mod late;
