@@ -12,9 +12,10 @@ use tokio::time::{Instant, sleep, sleep_until};
 use crate::cli;
 use crate::failure::{Doing as _, Failure};
 use crate::input::Answers;
-use crate::output::event::{lost_words, member_words};
+use crate::output::event::member_words;
 use crate::output::style::{Tone, ink};
 use crate::output::{Output, words};
+use mom_drive::loss_words;
 use mom_pages::Interrupt;
 
 /// The hub is asked for the lease this often during a lease, within bounds.
@@ -140,7 +141,7 @@ pub(super) fn tell_lost(path: &str, lost: &Lost, output: Output) -> Result<(), F
                 true => ink(format_args!("no longer holding {path}:"), Tone::Notice),
                 false => ink(format_args!("lost {path}:"), Tone::Bad),
             };
-            format!("{head} {}", lost_words(lost))
+            format!("{head} {}", loss_words(lost))
         },
     )?;
     match agreed {

@@ -3,9 +3,7 @@
 use std::fmt::Display;
 use std::time::Duration;
 
-use mom_client::{
-    ContextInfo, ContextKind, Event, Lost, Map, Member, Parcel, Path, StopState, Value, WireError,
-};
+use mom_client::{ContextInfo, ContextKind, Event, Map, Member, Parcel, Path, StopState, Value, WireError};
 
 use super::handover::{self, number, optional};
 use super::{error_map, words};
@@ -106,24 +104,6 @@ pub(crate) fn member_words(member: &Member) -> String {
         false => format!("{}, ", words::visible(&member.user)),
     };
     format!("{} ({user}level {})", words::visible(&member.peer), member.level)
-}
-
-/// How this peer lost a token.
-pub(crate) fn lost_words(lost: &Lost) -> String {
-    let by = lost.by.as_deref().map(words::visible);
-    match (lost.reason.as_str(), by) {
-        ("preempted", Some(by)) => format!("{by} has a higher level and took it"),
-        ("expired", Some(by)) => format!("the time was over, and {by} was next"),
-        ("expired", None) => "the lease was over".to_owned(),
-        ("disconnected", _) => "the connection to the hub is lost".to_owned(),
-        ("deleted", _) => "it was deleted".to_owned(),
-        ("given", Some(by)) => format!("{by} has it now"),
-        ("returned", _) => "it returned to its giver".to_owned(),
-        ("broken", Some(by)) => format!("{by} took it away"),
-        ("revoked", _) => "you may no longer be here".to_owned(),
-        (reason, Some(by)) => format!("{} by {by}", words::visible(reason)),
-        (reason, None) => words::visible(reason),
-    }
 }
 
 /// How an owner lost a token.
@@ -353,28 +333,6 @@ mod tests {
         ] {
             assert_eq!(event_words(&event), words);
             assert_eq!(event_slots(&event), (name, content));
-        }
-    }
-
-    #[test]
-    fn how_this_peer_lost_a_token() {
-        for (reason, by, words) in [
-            ("preempted", Some("carol"), "carol has a higher level and took it"),
-            ("expired", Some("bob"), "the time was over, and bob was next"),
-            ("expired", None, "the lease was over"),
-            ("disconnected", None, "the connection to the hub is lost"),
-            ("broken", Some("carol"), "carol took it away"),
-            ("given", Some("bob"), "bob has it now"),
-            ("returned", Some("bob"), "it returned to its giver"),
-            ("revoked", Some("carol"), "you may no longer be here"),
-            ("denied", Some("carol"), "denied by carol"),
-            ("denied", None, "denied"),
-        ] {
-            let lost = Lost {
-                reason: reason.to_owned(),
-                by: by.map(str::to_owned),
-            };
-            assert_eq!(lost_words(&lost), words);
         }
     }
 }

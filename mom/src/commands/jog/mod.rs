@@ -23,8 +23,7 @@ use crate::cli::{self, GlobalArgs};
 use crate::connect::{Stay, connect};
 use crate::failure::{Doing as _, Failure};
 use crate::output::Output;
-use crate::output::event::lost_words;
-use mom_drive::error_words;
+use mom_drive::{error_words, loss_words};
 use mom_pages::Interrupt;
 
 /// How often a velocity is said again.
@@ -100,7 +99,7 @@ impl Drive {
         loop {
             tokio::select! {
                 () = interrupt.wait() => return Err(Failure::plain("interrupted; the hand comes to rest")),
-                lost = self.guard.lost() => return Err(Failure::plain(format!("the token is lost: {}", lost_words(&lost)))),
+                lost = self.guard.lost() => return Err(Failure::plain(format!("the token is lost: {}", loss_words(&lost)))),
                 event = self.events.next() => {
                     let event = event.ok_or_else(|| Failure::plain("the connection to the hub is closed"))?;
                     self.refusal(&event)?;
@@ -142,7 +141,7 @@ impl Drive {
             screen.terminal.draw(|frame| view.draw(frame))?;
             let action = tokio::select! {
                 () = interrupt.wait() => Action::End,
-                lost = self.guard.lost() => return Err(Failure::plain(format!("the token is lost: {}", lost_words(&lost)))),
+                lost = self.guard.lost() => return Err(Failure::plain(format!("the token is lost: {}", loss_words(&lost)))),
                 Some(event) = keys.recv() => hand.on_event(&event?, Instant::now()),
                 event = self.events.next() => {
                     let event = event.ok_or_else(|| Failure::plain("the connection to the hub is closed"))?;
