@@ -7,14 +7,21 @@ import { Stage, check, replay } from "./stage.mjs";
 
 const STATEMENTS = { go: "go 100", back: "go 0", wrong: "og 100", beyond: "go 1001", "beyond-error": "workspace-boundary 5002", relative: "by 20", velocity: "jog 50" };
 
+/** A cart with an emergency stop of its own. */
+function withButton(more) {
+  const cart = machine({ ...more, estop: () => cart?.isPressed ?? false });
+  cart.isPressed = false;
+  return cart;
+}
+
 test("a declared cart does what every device does", async () => {
-  const played = await replay(() => machine(), STATEMENTS, settings);
-  assert.ok(played >= 51, `${played} dialogues`);
+  const played = await replay(() => withButton(), STATEMENTS, settings);
+  assert.ok(played >= 55, `${played} dialogues`);
 });
 
 test("a declared cart that completes its statement does so too", async () => {
-  const played = await replay(() => machine({ completesOnGive: true }), STATEMENTS, settings);
-  assert.ok(played >= 55, `${played} dialogues`);
+  const played = await replay(() => withButton({ completesOnGive: true }), STATEMENTS, settings);
+  assert.ok(played >= 59, `${played} dialogues`);
 });
 
 const refusal = (script) => {
@@ -361,6 +368,31 @@ test("no key of the kit's own is overwritten by what an author says", async () =
   const { said } = stage;
   assert.equal(said.battery, 5);
   for (const [key, value] of Object.entries(own)) if (key !== "rest") assert.notDeepEqual(said[key], value, key);
+});
+
+test("an emergency stop that does not say whether it is pressed ends the device as what throws does", async () => {
+  for (const wrong of [() => undefined, () => "no", async () => false, () => { throw new Error("no input"); }]) {
+    let fails = false;
+    const cart = machine({ estop: () => (fails ? wrong() : 0) });
+    const stage = await Stage.of(cart, settings);
+    assert.equal(stage.said.estop, false, "an input may say so by a number");
+    fails = true;
+    await stage.act("alice command 1 5: go 100");
+    stage.heard();
+    assert.ok(cart.broken, String(wrong));
+    assert.equal(stage.server.state().reached, false);
+  }
+});
+
+test("a device without a position is looked at for its emergency stop too", async () => {
+  let isPressed = false;
+  const cart = machine({ position: () => ({}), estop: () => isPressed });
+  const stage = await Stage.of(cart, settings);
+  await stage.act("after 5000");
+  stage.heard();
+  isPressed = true;
+  await stage.act("after 150");
+  assert.deepEqual(stage.heard(), ["state stopped estop at rest"]);
 });
 
 test("what cannot be said ends the device as what throws does", async () => {

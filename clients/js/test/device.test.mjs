@@ -93,6 +93,12 @@ class Cart extends Machine {
     return this.now + 150_000;
   }
 
+  isPressed = false;
+
+  estop() {
+    return this.isPressed;
+  }
+
   /** As by a hand. */
   push() {
     this.pushed = 50;

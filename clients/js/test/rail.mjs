@@ -11,6 +11,8 @@ export class Rail {
   speed = 0;
   planned = 0;
   told = [];
+  /** When it was kept alive last, µs. */
+  kept = -Infinity;
   #timers = [];
 
   /** Rejects when the signal is aborted. */
@@ -63,6 +65,7 @@ export function specOf(rail, more = {}) {
       [rail.speed, rail.planned] = [0, rail.x];
     },
     position: () => ({ x: rail.x }),
+    keepAlive: () => (rail.kept = rail.now),
     plan(statements) {
       for (const { verb, args } of statements) {
         const planned = { go: args.x, by: rail.planned + args.way }[verb] ?? rail.planned;

@@ -113,6 +113,12 @@ export class Stage {
         return;
       case "pushed":
         return this.server.note(this.now, () => this.server.machine.push(), this.out);
+      case "pressed":
+      case "reset":
+        this.server.machine.isPressed = first === "pressed";
+        return;
+      case "kept":
+        return assert.equal(this.now - this.server.machine.rail.kept <= 100 * MS, second === "alive", `it was kept alive at ${this.server.machine.rail.kept} of ${this.now}`);
       case "report":
         return this.server.report(this.out);
       case "gate":
@@ -222,7 +228,7 @@ function lineOf({ name, content, address = [], delivery, echo, reference }) {
     if (content.moving && content.executing) return undefined;
     // Until it is known that it rests, it is not said to stand.
     const rests = content.moving ? " moving" : content.rest === undefined ? "" : " at rest";
-    return `state${to} ${content.stopped ? "stopped" : "free"}${rests}`;
+    return `state${to} ${content.stopped ? "stopped" : "free"}${content.estop ? " estop" : ""}${rests}`;
   }
   assert.equal(delivery, undefined);
   assert.equal(reference, content.id, "it answers the command");
@@ -258,7 +264,7 @@ export async function replay(make, statements, settings = {}) {
     const [title, ...all] = dialogue.split("\n");
     const word = (key) => all.find((line) => line.startsWith(`${key} `))?.slice(key.length + 1);
     const { completes, stoppingTime } = make();
-    const has = { completes, "halts-on-give": !completes, pushes: "push" in make(), ...Object.fromEntries(["beyond", "relative", "velocity"].map((key) => [key, key in statements])) };
+    const has = { completes, "halts-on-give": !completes, pushes: "push" in make(), estop: make().estop() !== undefined, "keep-alive": make().rail !== undefined, ...Object.fromEntries(["beyond", "relative", "velocity"].map((key) => [key, key in statements])) };
     const needed = word("needs");
     assert.ok(needed === undefined || needed in has, `no dialogue can need ${needed}`);
     if (needed !== undefined && !has[needed]) continue;

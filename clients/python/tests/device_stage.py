@@ -128,6 +128,11 @@ class Stage:
             self.out = []
         elif words == ["pushed"]:
             self.out += self.server.note(self.now, lambda machine: getattr(machine, "device", machine).push())
+        elif words in (["pressed"], ["reset"]):
+            getattr(self.server.machine, "device", self.server.machine).is_pressed = words == ["pressed"]
+        elif name == "kept":
+            kept = getattr(self.server.machine, "device").kept
+            assert (self.now - kept <= 100 * MS) == (rest == ["alive"]), f"it was kept alive at {kept} of {self.now}"
         elif words == ["report"]:
             self.out += self.server.report()
         elif rest[:1] == ["command"]:
@@ -315,7 +320,8 @@ def line_of(parcel: Parcel) -> Optional[str]:
         return None
     # Until it is known that it rests, it is not said to stand.
     rests = " moving" if content["moving"] else " at rest" if "rest" in content else ""
-    return f"state{to} {'stopped' if content['stopped'] else 'free'}{rests}"
+    estop = " estop" if content.get("estop") else ""
+    return f"state{to} {'stopped' if content['stopped'] else 'free'}{estop}{rests}"
 
 
 def _status(parcel: Parcel) -> str:

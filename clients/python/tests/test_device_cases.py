@@ -34,6 +34,7 @@ class Cart(Machine):
         self.speed, self.until = 0.0, 0
         self.pushed = 0.0
         self.is_jogging, self.acts = False, False
+        self.is_pressed = False
 
     def read(self, verb: ScriptWord, words: Words) -> Any:
         if verb.text not in self.verbs:
@@ -101,6 +102,9 @@ class Cart(Machine):
         # Something may move it.
         return self.now + 150_000
 
+    def estop(self) -> bool:
+        return self.is_pressed
+
     def push(self) -> None:
         """As by a hand."""
         self.pushed = 50.0
@@ -134,12 +138,21 @@ class DeclaredCart(Device):
     def __init__(self) -> None:
         self.loop = VirtualLoop()
         self.x, self.speed, self.since, self.planned = 0.0, 0.0, 0, 0.0
+        self.is_pressed = False
+        self.kept = -1_000_000
+        """When it was kept alive last."""
 
     def position(self) -> Dict[str, float]:
         return {"x": self.x + self.speed * (self.loop.micros - self.since) / 1e6}
 
     def drive(self, speed: float) -> None:
         self.x, self.speed, self.since = self.position()["x"], speed, self.loop.micros
+
+    def estop(self) -> bool:
+        return self.is_pressed
+
+    def keep_alive(self) -> None:
+        self.kept = self.loop.micros
 
     def push(self) -> None:
         """As by a timer that a verb has left behind."""
@@ -198,7 +211,7 @@ def machine_of(kind: Any) -> Machine:
 def cases(kind: Any, statements: Dict[str, Optional[str]]) -> Any:
     machine = machine_of(kind)
     # What does not measure does not know that it is pushed.
-    has = {"completes": machine.completes, "halts-on-give": not machine.completes, "pushes": kind is not BlindCart}
+    has = {"completes": machine.completes, "halts-on-give": not machine.completes, "pushes": kind is not BlindCart, "estop": True, "keep-alive": issubclass(kind, Device)}
     return [
         pytest.param(kind, lines, id=f"{kind.__name__}: {title}")
         for title, lines in dialogues(statements, lambda need: has.get(need) or bool(statements.get(need)), machine)

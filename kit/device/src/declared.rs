@@ -15,6 +15,9 @@ use crate::{
 /// µs between two looks at whether what was begun is done.
 const LOOK: DeviceTime = 10_000;
 
+/// µs between two calls of [`Device::keep_alive`].
+const ALIVE: DeviceTime = 50_000;
+
 /// A program that had no turn for so many µs hears what has come meanwhile before it looks again: that may be a stop.
 const LATE: DeviceTime = 50_000;
 
@@ -83,6 +86,16 @@ pub trait Device: Send {
         true
     }
 
+    /// Whether an emergency stop at the device itself is pressed, such as a button on it or its pendant, as asked each 150 ms; `None` if it
+    /// knows of none. While it is pressed nothing is carried out, and when it was reset nothing either until an `unstop`.
+    fn estop(&self) -> Option<bool> {
+        None
+    }
+
+    /// Tells its mechanism that its program is there, each 50 ms while a statement that moves it is carried out, and not otherwise. So a
+    /// mechanism that stands by itself when it has heard nothing for a moment, such as 0.3 s, stands where the program stands still.
+    fn keep_alive(&mut self) {}
+
     /// Its card with what else it says, such as the fields of its state.
     fn describe(card: Card) -> Card {
         card
@@ -98,6 +111,8 @@ pub struct Declared<D: Device> {
     now: DeviceTime,
     doing: Doing,
     failure: Option<DeviceError>,
+    /// When its mechanism was kept alive last.
+    kept: DeviceTime,
 }
 
 /// What it does of the statement that was begun last.
@@ -143,6 +158,7 @@ impl<D: Device> Declared<D> {
             now: 0,
             doing: Doing::Nothing,
             failure: None,
+            kept: DeviceTime::MIN,
         }
     }
 
@@ -224,6 +240,10 @@ impl<D: Device> Machine for Declared<D> {
 
     fn is_reached(&self) -> bool {
         self.device.is_reached()
+    }
+
+    fn estop(&self) -> Option<bool> {
+        self.device.estop()
     }
 
     fn plan(&mut self, script: &Script<Call>) -> Result<(), DeviceError> {
@@ -316,6 +336,10 @@ impl<D: Device> Machine for Declared<D> {
     fn advance(&mut self, now: DeviceTime) {
         self.now = now;
         self.device.advance(now);
+        if self.is_moving() && now.saturating_sub(self.kept) >= ALIVE {
+            self.kept = now;
+            self.device.keep_alive();
+        }
         // Nothing has gone on from its speed.
         if matches!(self.doing, Doing::GivesWay(since) if now > since) {
             self.halt(now);
@@ -326,6 +350,7 @@ impl<D: Device> Machine for Declared<D> {
         match self.doing {
             Doing::Acts { look, .. } => Some(look),
             Doing::GivesWay(since) => Some(since.saturating_add(1)),
+            Doing::Velocity(_) => Some(self.now.saturating_add(ALIVE)),
             _ => Some(self.now.saturating_add(LOOK_AT_REST)),
         }
     }

@@ -47,11 +47,13 @@ pub enum ErrorName {
     Obstacle,
     /// The device has no energy left to do it.
     Battery,
+    /// An emergency stop at the device itself is pressed: nobody but who stands beside it can reset that.
+    Estop,
 }
 
 impl ErrorName {
     /// Every name, in the order of the numbers.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 18] = [
         Self::Syntax,
         Self::WorkspaceBoundary,
         Self::Link,
@@ -69,6 +71,7 @@ impl ErrorName {
         Self::ZoneNotOwned,
         Self::Obstacle,
         Self::Battery,
+        Self::Estop,
     ];
 
     /// The code word, as it stands on the wire.
@@ -92,6 +95,7 @@ impl ErrorName {
             Self::ZoneNotOwned => "zone-not-owned",
             Self::Obstacle => "obstacle",
             Self::Battery => "battery",
+            Self::Estop => "estop",
         }
     }
 
@@ -116,6 +120,7 @@ impl ErrorName {
             Self::ZoneNotOwned => 5109,
             Self::Obstacle => 5110,
             Self::Battery => 5111,
+            Self::Estop => 5112,
         }
     }
 

@@ -83,6 +83,12 @@ pub trait Machine: fmt::Debug {
         true
     }
 
+    /// Whether an emergency stop at the device itself is pressed, such as a button on it or its pendant; `None` if it knows of none. It is
+    /// asked at each turn of its server, so a device that has one asks to be called each [`LOOK_AT_REST`](crate::LOOK_AT_REST).
+    fn estop(&self) -> Option<bool> {
+        None
+    }
+
     /// Whether what it reports changes by itself although it does not move, such as where a thing is that falls. States follow meanwhile.
     fn is_changing(&self) -> bool {
         false

@@ -23,6 +23,8 @@ pub const STATUS: &str = "status";
 const STOP: &str = "stop";
 /// The message that tells the device's state.
 pub const STATE: &str = "state";
+/// Whether an emergency stop at the device itself is pressed, in the states of a device that knows of one.
+const ESTOP: &str = "estop";
 /// ms within which it stands once it is to, in the state that who joins gets.
 const STOPS_WITHIN: &str = "stops-within";
 /// Why commands end at the hub's safe state.
@@ -46,6 +48,8 @@ const SAFE: &str = "the hub ordered the safe state, because the token's owner lo
 /// - Anybody's `stop` ends all commands too, and holds until an `unstop` that names it or a newer one ([`Latch`]). A gap in the events
 ///   is a stop of its own, of which it tells the hub, because it may have contained a `stop`. After each of both it says how it
 ///   stands, changed or not. It moves nothing before it has heard on this connection how it stands.
+/// - An emergency stop at the device itself ([`Machine::estop`]) is a stop of its own, too. While it is pressed nothing is carried out,
+///   whatever is lifted.
 /// - A peer that joins the channel gets the state; after a lost link it is sent again.
 #[derive(Debug)]
 pub struct DeviceServer<M: Machine> {
@@ -68,6 +72,8 @@ pub struct DeviceServer<M: Machine> {
     pull: Option<Pull>,
     /// Whether its owner has given the token away, and nobody has it yet.
     handing_over: bool,
+    /// Whether the emergency stop at the device itself was pressed when that was looked at last.
+    is_pressed: bool,
     /// µs that a command may be old when it begins, whatever its sender says.
     max_age: Option<DeviceTime>,
 }
@@ -89,6 +95,7 @@ impl<M: Machine> DeviceServer<M> {
             commanded: 0,
             pull: None,
             handing_over: false,
+            is_pressed: false,
             max_age: None,
         }
     }
@@ -197,6 +204,7 @@ impl<M: Machine> DeviceServer<M> {
 
     /// Lets time pass until `now`.
     pub fn advance(&mut self, now: DeviceTime, out: &mut Vec<Parcel>) {
+        self.watch_estop(now, out);
         self.act(out, |queue, events| queue.advance(now, events));
     }
 
@@ -310,6 +318,25 @@ impl<M: Machine> DeviceServer<M> {
         out.push(stop);
     }
 
+    /// Looks at the emergency stop of the device itself. It is a stop of its own when it is pressed, and again when it is reset and an
+    /// `unstop` has come meanwhile: who resets it does not set the device in motion, nor does a velocity that is still being sent.
+    fn watch_estop(&mut self, now: DeviceTime, out: &mut Vec<Parcel>) {
+        let is_pressed = self.queue.machine().estop() == Some(true);
+        if std::mem::replace(&mut self.is_pressed, is_pressed) == is_pressed {
+            return;
+        }
+        if is_pressed || !self.latch.is_stopped() {
+            let what = if is_pressed { "pressed" } else { "reset" };
+            self.latch.stop_itself(&format!("its emergency stop was {what}"));
+            self.obey_stop(out, |queue, events| {
+                queue.stop(now, &format!("its emergency stop was {what}"), events);
+            });
+            self.tell_own_stop(out);
+        } else {
+            self.report(out);
+        }
+    }
+
     /// Stops, or does so no more, and says how the device stands, changed or not.
     fn obey_stop(
         &mut self,
@@ -352,6 +379,13 @@ impl<M: Machine> DeviceServer<M> {
                 order.peer
             );
             return Err(DeviceError::new(ErrorName::DuplicateId, text).into());
+        }
+        if self.is_pressed {
+            let text = format!(
+                "the emergency stop of {} is pressed: reset it there, and then lift the stop",
+                M::NAME
+            );
+            return Err(DeviceError::new(ErrorName::Estop, text).into());
         }
         self.queue.check_free()?;
         if let Err(held) = self.latch.may_move() {
@@ -483,7 +517,7 @@ impl<M: Machine> DeviceServer<M> {
         parcel
     }
 
-    /// `{seq, …position, …report, moving, rest?, reached, stopped, stop, executing {id?, peer, statement, of}?, waiting, fence?}`.
+    /// `{seq, …position, …report, moving, rest?, reached, stopped, estop?, stop, executing {id?, peer, statement, of}?, waiting, fence?}`.
     fn state_message(&mut self, state: &State) -> Parcel {
         let mut content = Map::new().with("seq", state.seq as i64);
         for (key, value) in state.position.iter().chain(state.report.iter()) {
@@ -495,6 +529,10 @@ impl<M: Machine> DeviceServer<M> {
         }
         content.set("reached", state.reached);
         content.set("stopped", state.stopped);
+        // As it was heeded: who is told that it is pressed is told too that the device is stopped.
+        if self.queue.machine().estop().is_some() {
+            content.set(ESTOP, self.is_pressed);
+        }
         content.set(STOP, i64::try_from(self.latch.number()).unwrap_or(i64::MAX));
         if let Some(Progress { order, statement, of }) = &state.executing {
             let executing = id_map(order).with("peer", &*order.peer);

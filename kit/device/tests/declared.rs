@@ -20,6 +20,9 @@ struct Cart<const COMPLETES: bool> {
     speed: f64,
     /// Where it is told to drive.
     to: Option<f64>,
+    is_pressed: bool,
+    /// When it was kept alive last.
+    kept: DeviceTime,
     halts: u32,
 }
 
@@ -70,6 +73,14 @@ impl<const COMPLETES: bool> Device for Cart<COMPLETES> {
         Map::new().with("x", Value::Double(self.x))
     }
 
+    fn estop(&self) -> Option<bool> {
+        Some(self.is_pressed)
+    }
+
+    fn keep_alive(&mut self) {
+        self.kept = self.now;
+    }
+
     fn plan(&mut self, calls: &[(&Call, u32)]) -> Result<(), DeviceError> {
         let mut planned = self.planned;
         for (call, number) in calls {
@@ -107,17 +118,20 @@ const STATEMENTS: Statements = Statements {
 };
 
 fn stage<const COMPLETES: bool>() -> Stage<Declared<Cart<COMPLETES>>> {
-    Stage::bare(Declared::new(Cart::default())).pushed_by(|cart| cart.device_mut().speed = 50.0)
+    Stage::bare(Declared::new(Cart::default()))
+        .pushed_by(|cart| cart.device_mut().speed = 50.0)
+        .pressed_by(|cart, is_pressed| cart.device_mut().is_pressed = is_pressed)
+        .kept_by(|cart| cart.device().kept)
 }
 
 #[test]
 fn a_declared_cart_does_what_every_device_does() {
-    assert_eq!(replay(stage::<false>, &STATEMENTS), 51);
+    assert_eq!(replay(stage::<false>, &STATEMENTS), 55);
 }
 
 #[test]
 fn one_that_completes_its_statement_does_so_too() {
-    assert_eq!(replay(stage::<true>, &STATEMENTS), 55);
+    assert_eq!(replay(stage::<true>, &STATEMENTS), 59);
 }
 
 /// The tools of a kitchen: what no motion shows.

@@ -31,6 +31,8 @@ struct Cart<const COMPLETES: bool> {
     jogs: bool,
     /// mm/s, by something that it knows nothing of.
     pushed: f64,
+    /// Its emergency stop is pressed.
+    is_pressed: bool,
 }
 
 impl<const COMPLETES: bool> Cart<COMPLETES> {
@@ -86,6 +88,10 @@ impl<const COMPLETES: bool> Machine for Cart<COMPLETES> {
 
     fn is_moving(&self) -> bool {
         self.speed != 0.0
+    }
+
+    fn estop(&self) -> Option<bool> {
+        Some(self.is_pressed)
     }
 
     fn plan(&mut self, script: &Script<Deed>) -> Result<(), DeviceError> {
@@ -162,16 +168,18 @@ const STATEMENTS: Statements = Statements {
 };
 
 fn stage<const COMPLETES: bool>() -> Stage<Cart<COMPLETES>> {
-    Stage::bare(Cart::default()).pushed_by(|cart| cart.pushed = 50.0)
+    Stage::bare(Cart::default())
+        .pushed_by(|cart| cart.pushed = 50.0)
+        .pressed_by(|cart, is_pressed| cart.is_pressed = is_pressed)
 }
 
 /// Some are played for each of several events; none may be left out in silence.
 #[test]
 fn a_cart_does_what_every_device_does() {
-    assert_eq!(replay(stage::<false>, &STATEMENTS), 51);
+    assert_eq!(replay(stage::<false>, &STATEMENTS), 54);
 }
 
 #[test]
 fn a_cart_that_completes_its_statement_does_so_too() {
-    assert_eq!(replay(stage::<true>, &STATEMENTS), 55);
+    assert_eq!(replay(stage::<true>, &STATEMENTS), 58);
 }

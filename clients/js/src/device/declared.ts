@@ -64,6 +64,9 @@ export class DeclaredMachine extends Machine<Call> {
   #lookedAt = 0;
   #position: Fields = {};
   #report: Fields = {};
+  #isPressed: boolean | undefined;
+  /** When its mechanism was kept alive last, µs. */
+  #keptAt = -Infinity;
 
   constructor(
     readonly spec: Spec,
@@ -321,6 +324,10 @@ export class DeclaredMachine extends Machine<Call> {
   override advance(now: number): void {
     this.#now = Math.max(this.#now, now);
     this.#look();
+    if (this.isDriven() && this.#now - this.#keptAt >= LOOK) {
+      this.#keptAt = this.#now;
+      this.#known("keepAlive", () => this.spec.keepAlive?.());
+    }
     // What it has given way to did not move it, such as a `wait`.
     if (this.#yielding !== undefined && now > this.#yielding) this.#yieldInVain();
     if (this.#patient !== undefined && now >= this.#patient && this.#current) this.#losePatience(this.#current.call, now);
@@ -328,7 +335,7 @@ export class DeclaredMachine extends Machine<Call> {
 
   override nextWake(): number | undefined {
     const next = this.#yielding === undefined ? this.#patient : this.#yielding + 1;
-    if (this.broken || (!this.#sample && this.isAtRest())) return next;
+    if (this.broken || (!this.#sample && !this.spec.estop && this.isAtRest())) return next;
     const movedAt = this.#motion.movedAt ?? -Infinity;
     const stands = this.isAtRest() && this.#lookedAt - movedAt > LOOK_AT_REST + LOOK_AT_REST;
     return Math.min(next ?? Infinity, this.#lookedAt + (stands ? LOOK_AT_REST : LOOK));
@@ -356,6 +363,17 @@ export class DeclaredMachine extends Machine<Call> {
   override report(): Fields {
     this.#known("report", () => (this.#report = copyOf(atOnce(this.spec.report?.()) ?? {})));
     return this.#report;
+  }
+
+  override estop(): boolean | undefined {
+    if (!this.spec.estop) return undefined;
+    this.#known("estop", () => {
+      const pressed: unknown = atOnce(this.spec.estop!());
+      // An input may say so by a number; what says nothing is not taken for a button that is not pressed.
+      if (typeof pressed !== "boolean" && typeof pressed !== "number") throw new TypeError("it gives neither true nor false");
+      this.#isPressed = Boolean(pressed);
+    });
+    return this.#isPressed ?? true;
   }
 
   override measured(at: number): Sample | undefined {

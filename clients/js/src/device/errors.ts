@@ -28,6 +28,8 @@ export const DEVICE_CODES = {
   "zone-not-owned": 5109,
   obstacle: 5110,
   battery: 5111,
+  /** An emergency stop at the device itself is pressed. */
+  estop: 5112,
 } as const;
 
 /** The word of a device's error. */

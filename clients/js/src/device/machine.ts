@@ -73,6 +73,11 @@ export abstract class Machine<A> {
     return true;
   }
 
+  /** Whether an emergency stop at the device itself is pressed; undefined if it knows of none. It is asked at each turn of its server. */
+  estop(): boolean | undefined {
+    return undefined;
+  }
+
   /** Whether what it reports changes by itself although it does not move. States follow meanwhile. */
   isChanging(): boolean {
     return false;

@@ -53,6 +53,7 @@ export interface ServerOptions {
  * - Whenever the owner changes, another token guards the channel, the hub sends `halt`, or the link is lost, all commands end and the
  *   device stands at once. Where owners hand over by agreement and the hub sends no `halt`, the present statement comes to its end in a
  *   device that completes.
+ * - An emergency stop at the device itself is a stop of its own, too. While it is pressed nothing is carried out, whatever is lifted.
  * - The first motion of a new owner waits until the device rests, at most twice its stopping time and a second.
  * - Anybody's `stop` ends all commands too, and holds until an `unstop` that names it or a newer one. A gap in the events is a stop of
  *   its own.
@@ -71,6 +72,8 @@ export class DeviceServer<A> {
   #commanded = 0;
   /** Whether its owner has given the token away, and nobody has it yet. */
   #handingOver = false;
+  /** Whether the emergency stop at the device itself was pressed when that was looked at last. */
+  #isPressed = false;
   readonly #pull: Pull | undefined;
   readonly #pace: number;
   /** What it is called at the hub, so that it can stop itself there. */
@@ -146,6 +149,7 @@ export class DeviceServer<A> {
 
   /** Lets time pass until `now`. */
   advance(now: number, out: Parcel[]): void {
+    this.#watchEstop(now, out);
     this.#act(out, (events) => this.#queue.advance(now, events));
   }
 
@@ -229,6 +233,7 @@ export class DeviceServer<A> {
     if (order.id !== undefined && this.#queue.orders().some((other) => isSame(other, order))) {
       throw new DeviceError("duplicate-id", `command ${order.id} of ${order.peer} is still waiting or executing; choose another id`);
     }
+    if (this.#isPressed) throw new DeviceError("estop", `the emergency stop of ${machine.name} is pressed: reset it there, and then lift the stop`);
     this.#queue.checkFree();
     const held = this.mayMove();
     if (held) throw new DeviceError("stopped", `${machine.name} may not move: ${held.text}`);
@@ -271,6 +276,20 @@ export class DeviceServer<A> {
     else if (event?.type === "link-down") this.halt("the link to the hub was lost", now, out);
     else this.#obeyStop(out, (events) => this.#queue.halt(now, "a stop has come that was lifted before", events));
     if (event?.type === "lagged") this.#tellOwnStop(out);
+  }
+
+  /**
+   * Looks at the emergency stop of the device itself. It is a stop of its own when it is pressed, and again when it is reset and an
+   * `unstop` has come meanwhile: who resets it does not set the device in motion, nor does a velocity that is still being sent.
+   */
+  #watchEstop(now: number, out: Parcel[]): void {
+    const isPressed = this.machine.estop() === true;
+    if (isPressed === this.#isPressed) return;
+    this.#isPressed = isPressed;
+    if (!isPressed && this.#latch.isStopped) return this.report(out);
+    const turn = this.#latch.stopItself(`its emergency stop was ${isPressed ? "pressed" : "reset"}`);
+    this.#react(undefined, turn, now, out);
+    this.#tellOwnStop(out);
   }
 
   /** Tells the hub that it has stopped itself, if the hub does not know: from then on it is a stop like any other. */
@@ -352,12 +371,14 @@ export class DeviceServer<A> {
     return { ...parcel, content: { ...fieldsOf(parcel.content), [STOPS_WITHIN]: Math.floor(this.machine.stoppingTime / 1000) } };
   }
 
-  /** `{…position, …report, seq, moving, rest?, reached, stopped, stop, executing {id?, peer, statement, of}?, waiting, fence?}`. */
+  /** `{…position, …report, seq, moving, rest?, reached, stopped, estop?, stop, executing {id?, peer, statement, of}?, waiting, fence?}`. */
   #state({ seq, position, report, moving, rest, reached, stopped, executing, waiting }: State): Parcel {
     const { order, statement, of } = executing ?? {};
     const carriedOut = order && defined({ id: order.id, peer: order.peer, statement, of });
     // What the author says overwrites none of these.
-    const told = { seq, moving, rest, reached, stopped, stop: this.#latch.number, executing: carriedOut, waiting, fence: this.#fence || undefined, [STOPS_WITHIN]: undefined };
+    // As it was heeded: who is told that it is pressed is told too that the device is stopped.
+    const estop = this.machine.estop() === undefined ? undefined : this.#isPressed;
+    const told = { seq, moving, rest, reached, stopped, estop, stop: this.#latch.number, executing: carriedOut, waiting, fence: this.#fence || undefined, [STOPS_WITHIN]: undefined };
     const moved = !this.#told || !isSame(this.#told, position);
     if (moved) this.#told = position;
     const delivery: Delivery = "latest";

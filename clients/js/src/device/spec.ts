@@ -30,6 +30,17 @@ export interface Spec {
   /** What else its state tells. */
   report?(): Fields;
   /**
+   * Whether an emergency stop at the device itself is pressed, such as a button on it or its pendant. It is asked each 150 ms. While it is
+   * pressed nothing is carried out, and when it was reset nothing either until an `unstop`. What it throws ends the device.
+   */
+  estop?(): boolean;
+  /**
+   * Tells its mechanism that its program is there, each 50 ms while a statement that moves it is carried out, and not otherwise. So motors
+   * that stand by themselves when they have heard nothing for a moment, such as 0.3 s, stand where the program stands still. What it throws
+   * ends the device.
+   */
+  keepAlive?(): void;
+  /**
    * Throws a `DeviceError` where it cannot carry a script out from where those that were planned before lead; then nothing of it begins.
    */
   plan?(statements: readonly Planned[]): void;

@@ -31,7 +31,11 @@ fn state(parcel: &Parcel) -> Option<String> {
         (false, true) => " at rest",
         (false, false) => "",
     };
-    Some(format!("state{} {stands}{rests}", addressees(parcel)))
+    let estop = match content.get("estop").and_then(Value::as_bool) {
+        Some(true) => " estop",
+        _ => "",
+    };
+    Some(format!("state{} {stands}{estop}{rests}", addressees(parcel)))
 }
 
 fn status(parcel: &Parcel) -> String {

@@ -143,6 +143,8 @@ fn has<M: Machine>(needed: &str, stage: &Stage<M>, statements: &Statements) -> b
         "relative" => statements.relative.is_some(),
         "velocity" => statements.velocity.is_some(),
         "pushes" => stage.is_pushed(),
+        "estop" => stage.is_pressed(),
+        "keep-alive" => stage.is_kept(),
         "completes" => M::COMPLETES,
         "halts-on-give" => !M::COMPLETES,
         other => panic!("no dialogue can need {other}"),

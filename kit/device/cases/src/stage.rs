@@ -25,6 +25,8 @@ pub struct Stage<M: Machine> {
     beside: Option<Beside<M>>,
     mechanism: Option<Mechanism<M>>,
     push: Option<fn(&mut M)>,
+    press: Option<fn(&mut M, bool)>,
+    kept: Option<fn(&M) -> DeviceTime>,
     now: DeviceTime,
     /// Who owns the token, as the client knows it.
     pub gate: FenceGate,
@@ -51,6 +53,8 @@ impl<M: Machine> Stage<M> {
             beside: None,
             mechanism: None,
             push: None,
+            press: None,
+            kept: None,
             now: 0,
             gate: FenceGate::new(),
             age: None,
@@ -91,6 +95,30 @@ impl<M: Machine> Stage<M> {
     pub fn pushed_by(mut self, push: fn(&mut M)) -> Self {
         self.push = Some(push);
         self
+    }
+
+    /// This stage, with the emergency stop at the device itself, which is pressed or reset.
+    #[must_use]
+    pub fn pressed_by(mut self, press: fn(&mut M, bool)) -> Self {
+        self.press = Some(press);
+        self
+    }
+
+    /// Whether its device has an emergency stop of its own.
+    pub fn is_pressed(&self) -> bool {
+        self.press.is_some()
+    }
+
+    /// This stage, with when its mechanism was kept alive last.
+    #[must_use]
+    pub fn kept_by(mut self, kept: fn(&M) -> DeviceTime) -> Self {
+        self.kept = Some(kept);
+        self
+    }
+
+    /// Whether its device keeps its mechanism alive.
+    pub fn is_kept(&self) -> bool {
+        self.kept.is_some()
     }
 
     /// Whether its device can be pushed.
@@ -261,6 +289,21 @@ impl<M: Machine> Stage<M> {
                     self.command("alice", &[&format!("{id}"), "5"], "wait 1000");
                 }
                 self.out.clear();
+            }
+            [word @ ("pressed" | "reset")] => {
+                let press = self.press.unwrap();
+                self.note(|machine| press(machine, word == "pressed"));
+            }
+            ["kept", word] => {
+                let kept = self.kept.unwrap();
+                let kept = kept(self.server().machine());
+                let is_kept = self.now.saturating_sub(kept) <= 100 * MS;
+                assert_eq!(
+                    is_kept,
+                    word == "alive",
+                    "it was kept alive at {kept} of {}",
+                    self.now
+                );
             }
             ["pushed"] => {
                 let push = self.push.unwrap();

@@ -1,8 +1,11 @@
 // The motors of the robot: simulated ones, and the place of the real ones.
+import { existsSync } from "node:fs";
 import { sleep } from "mom-client/device";
 
 const SPEED = 200; // mm/s of `drive`
 const RATE = 60; // degrees/s of `turn`
+/** ms after which the motors stand by themselves when they hear nothing: no program can halt them when its computer fails. */
+const DEADLINE = 300;
 
 /** Motors that take what they are told at once. */
 class SimulatedMotors {
@@ -10,11 +13,18 @@ class SimulatedMotors {
   #speed = 0;
   #rate = 0;
   #since = performance.now();
+  #heard = this.#since;
 
   /** Goes on at so many mm/s and degrees/s. */
   setSpeed(speed, rate) {
     this.#advance();
-    [this.#speed, this.#rate] = [speed, rate];
+    [this.#speed, this.#rate, this.#heard] = [speed, rate, this.#since];
+  }
+
+  /** Goes on as it does, if it has not stood by itself. */
+  keepAlive() {
+    this.#advance();
+    this.#heard = this.#since;
   }
 
   /** Stands, at once, whatever it does. */
@@ -32,6 +42,11 @@ class SimulatedMotors {
   /** What is left, in %. */
   battery() {
     return 100;
+  }
+
+  /** Whether its emergency stop is pressed: of these motors, whether there is a file `estop` here. */
+  estop() {
+    return existsSync("estop");
   }
 
   /** Drives so many mm. */
@@ -52,16 +67,18 @@ class SimulatedMotors {
 
   #advance() {
     const now = performance.now();
-    const seconds = (now - this.#since) / 1000;
+    const until = this.#heard + DEADLINE;
+    const seconds = Math.max(0, Math.min(now, until) - this.#since) / 1000;
     this.#since = now;
     const middle = ((this.#pose.heading + (this.#rate * seconds) / 2) * Math.PI) / 180;
     this.#pose.x += this.#speed * seconds * Math.cos(middle);
     this.#pose.y += this.#speed * seconds * Math.sin(middle);
     this.#pose.heading += this.#rate * seconds;
+    if (now > until) [this.#speed, this.#rate] = [0, 0];
   }
 }
 
-/** Yours: write `setSpeed`, `brake`, `pose` and `battery`; have `drive` and `turn` end by what `pose` measures. */
+/** Yours: write `setSpeed`, `brake`, `keepAlive`, `pose`, `battery` and `estop`; have `drive` and `turn` end by what `pose` measures. */
 class RealMotors extends SimulatedMotors {
   constructor(port) {
     super();

@@ -1,7 +1,7 @@
 // A robot on two wheels: what it can do, how it stands still, where it is. The kit does the rest.
 import { readFileSync } from "node:fs";
 import { connect, Key } from "mom-client";
-import { device, number, runs, sleep, verb } from "mom-client/device";
+import { device, DeviceError, number, runs, sleep, verb } from "mom-client/device";
 import { motors as find } from "./driver.mjs";
 
 const motors = find();
@@ -20,8 +20,13 @@ const robot = device("newbot", {
     ),
   },
   halt: () => motors.brake(),
+  keepAlive: () => motors.keepAlive(),
   position: () => motors.pose(),
   report: () => ({ battery: motors.battery() }),
+  estop: () => motors.estop(),
+  plan() {
+    if (motors.battery() < 5) throw new DeviceError("battery", "the battery is empty: charge it");
+  },
   state: { x: number({ unit: "mm" }), y: number({ unit: "mm" }), heading: number({ unit: "degrees" }), battery: number({ unit: "%" }) },
   stopsWithin: 500,
 });

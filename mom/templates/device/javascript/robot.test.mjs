@@ -2,7 +2,7 @@
 import assert from "node:assert/strict";
 import { spawn, spawnSync } from "node:child_process";
 import { once } from "node:events";
-import { readFileSync } from "node:fs";
+import { readFileSync, rmSync, writeFileSync } from "node:fs";
 import { createInterface } from "node:readline";
 import { after, before, test } from "node:test";
 
@@ -50,6 +50,25 @@ test("it drives, and refuses what is out of its range", () => {
   const refused = run("drive 5000");
   assert.equal(refused.status, 1, refused.stderr);
   assert.match(refused.stderr, /-2000 to 2000 mm/);
+});
+
+/** Tries to drive until it is refused in these words: it looks at its emergency stop each 150 ms. */
+function untilRefused(words) {
+  for (let most = 100; most > 0; most--) if (words.test(run("drive 1").stdout)) return;
+  assert.fail(`never: ${words}`);
+}
+
+test("its emergency stop holds until it is reset and the stop is lifted", (t) => {
+  t.after(() => rmSync("estop", { force: true }));
+  writeFileSync("estop", "");
+  untilRefused(/emergency stop/);
+  assert.match(mom(["unstop", "/newbot"]).stdout, /emergency stop/);
+  assert.match(run("drive 1").stdout, /emergency stop/, "nobody lifts it from afar");
+  rmSync("estop");
+  untilRefused(/is stopped/);
+  assert.equal(mom(["unstop", "/newbot"]).status, 0);
+  const done = run("drive 20");
+  assert.equal(done.status, 0, done.stderr);
 });
 
 test("a stop holds until it is lifted", () => {

@@ -9,6 +9,8 @@ SPEED = 200.0
 """mm/s of `drive`."""
 RATE = 60.0
 """degrees/s of `turn`."""
+DEADLINE = 0.3
+"""s after which the motors stand by themselves when they hear nothing: no program can halt them when its computer fails."""
 
 
 class SimulatedMotors:
@@ -17,11 +19,17 @@ class SimulatedMotors:
     def __init__(self):
         self._x, self._y, self._heading = 0.0, 0.0, 0.0
         self._speed, self._rate, self._since = 0.0, 0.0, time.monotonic()
+        self._heard = self._since
 
     def set_speed(self, speed, rate):
         """Goes on at so many mm/s and degrees/s."""
         self._advance()
-        self._speed, self._rate = speed, rate
+        self._speed, self._rate, self._heard = speed, rate, self._since
+
+    def keep_alive(self):
+        """Goes on as it does, if it has not stood by itself."""
+        self._advance()
+        self._heard = self._since
 
     def brake(self):
         """Stands, at once, whatever it does."""
@@ -35,6 +43,10 @@ class SimulatedMotors:
     def battery(self):
         """What is left, in %."""
         return 100
+
+    def estop(self):
+        """Whether its emergency stop is pressed: of these motors, whether there is a file `estop` here."""
+        return os.path.exists("estop")
 
     async def drive(self, way):
         """Drives so many mm."""
@@ -51,15 +63,19 @@ class SimulatedMotors:
 
     def _advance(self):
         now = time.monotonic()
-        seconds, self._since = now - self._since, now
+        is_late = now > self._heard + DEADLINE
+        seconds = max(0.0, min(now, self._heard + DEADLINE) - self._since)
+        self._since = now
         middle = math.radians(self._heading + self._rate * seconds / 2)
         self._x += self._speed * seconds * math.cos(middle)
         self._y += self._speed * seconds * math.sin(middle)
         self._heading += self._rate * seconds
+        if is_late:
+            self._speed, self._rate = 0.0, 0.0
 
 
 class RealMotors(SimulatedMotors):
-    """Yours: write `set_speed`, `brake`, `pose` and `battery`; have `drive` and `turn` end by what `pose` measures."""
+    """Yours: write `set_speed`, `brake`, `keep_alive`, `pose`, `battery` and `estop`; have `drive` and `turn` end by what `pose` measures."""
 
     def __init__(self, port):
         raise NotImplementedError(f"no driver for the motors at {port} yet: write it in driver.py")

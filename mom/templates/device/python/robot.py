@@ -21,11 +21,21 @@ class Robot(Device):
     def halt(self):
         self.motors.brake()
 
+    def keep_alive(self):
+        self.motors.keep_alive()
+
     def position(self):
         return self.motors.pose()
 
     def report(self):
         return {"battery": self.motors.battery()}
+
+    def estop(self):
+        return self.motors.estop()
+
+    def plan(self, calls):
+        if self.motors.battery() < 5:
+            raise calls[0].error("battery", "the battery is empty: charge it")
 
     @verb(relative=True)
     async def drive(self, way: Annotated[float, Number("mm", -2000, 2000)]):

@@ -44,6 +44,23 @@ class TestRobot(unittest.TestCase):
         self.assertEqual(refused.returncode, 1, refused.stderr)
         self.assertIn("-2000 to 2000 mm", refused.stderr)
 
+    def until_refused(self, words):
+        """Tries to drive until it is refused in these words: it looks at its emergency stop each 150 ms."""
+        refused = (self.run_script("drive 1") for _ in range(100))
+        self.assertTrue(any(words in run.stdout for run in refused), words)
+
+    def test_its_emergency_stop_holds_until_it_is_reset_and_the_stop_is_lifted(self):
+        self.addCleanup(lambda: os.path.exists("estop") and os.remove("estop"))
+        with open("estop", "w", encoding="utf-8"):
+            self.until_refused("emergency stop")
+        self.assertIn("emergency stop", mom(self.hub, "unstop", "/newbot").stdout)
+        self.assertIn("emergency stop", self.run_script("drive 1").stdout, "nobody lifts it from afar")
+        os.remove("estop")
+        self.until_refused("is stopped")
+        self.assertEqual(mom(self.hub, "unstop", "/newbot").returncode, 0)
+        done = self.run_script("drive 20")
+        self.assertEqual(done.returncode, 0, done.stderr)
+
     def test_a_stop_holds_until_it_is_lifted(self):
         stopped = mom(self.hub, "stop", "/newbot")
         self.assertEqual(stopped.returncode, 0, stopped.stderr)

@@ -24,7 +24,7 @@ from .words import ScriptWord, Words
 LOG = logging.getLogger("mom")
 
 RESERVED = frozenset(
-    ("seq", "moving", "rest", "reached", "stopped", "stop", "executing", "waiting", "fence", "stops-within")
+    ("seq", "moving", "rest", "reached", "stopped", "stop", "estop", "executing", "waiting", "fence", "stops-within")
 )
 """The keys of a state that say how every device stands."""
 
@@ -88,6 +88,8 @@ class DeclaredMachine(Machine):
         self._now, self._blocked = 0, 0
         self._stood = 0
         """When it was halted last because a verb that was halted has not come to its end."""
+        self._kept = 0
+        """When its mechanism was kept alive last."""
         self._seen: Optional[Sample] = None
         """Where it was when it had moved by its tolerance last."""
         self._moved_at = -REST
@@ -357,6 +359,9 @@ class DeclaredMachine(Machine):
             # What takes steps that it waits for nobody can see.
             self._stood = now
             self._stand()
+        if (self.is_driven() or self._leaves) and now - self._kept >= self.period:
+            self._kept = now
+            self.device.keep_alive()
         sample = self.measured(now)
         if sample is None or not sample.is_finite():
             self._seen = None
@@ -392,6 +397,11 @@ class DeclaredMachine(Machine):
     def is_reached(self) -> bool:
         """Whether the device says that it is."""
         return self.device.is_reached()
+
+    def estop(self) -> Optional[bool]:
+        """Whether the device says that its emergency stop is pressed: an input may say so by a number."""
+        pressed = self.device.estop()
+        return None if pressed is None else bool(pressed)
 
     def position(self) -> Mapping[str, Any]:
         """Where the device says that it is."""

@@ -50,7 +50,7 @@ class Device:
     `await client.obey("/robot/cart", Cart())` makes it a device there. No method may block, since nothing is heard meanwhile.
 
     What a verb raises ends its command, and all that wait, with an error, and halts the device: a `DeviceError` is told as it is, all else
-    as `link`, and is logged. What `halt`, `position` or `report` raise ends the device: it halts, and obeys nothing any more.
+    as `link`, and is logged. What `halt`, `position`, `report`, `estop` or `keep_alive` raise ends the device: it halts, and obeys nothing any more.
     """
 
     name: ClassVar[str] = ""
@@ -74,7 +74,7 @@ class Device:
         super().__init_subclass__(**options)
         if cls.halt is Device.halt:
             raise TypeError(f"{cls.__name__} has no `halt`: every device can be halted")
-        for name in ("halt", "position", "report", "is_reached", "plan"):
+        for name in ("halt", "position", "report", "is_reached", "estop", "keep_alive", "plan"):
             if inspect.iscoroutinefunction(getattr(cls, name)):
                 raise TypeError(f"{cls.__name__}.{name} has to be a plain function: it is called at once, and must not block")
         if not NAME.fullmatch(cls.called()) or cls.called() == "hub":
@@ -102,6 +102,19 @@ class Device:
     def is_reached(self) -> bool:
         """Whether it can tell its mechanism what to do, and hears of it. What is not reached is never said to rest."""
         return True
+
+    def estop(self) -> Optional[bool]:
+        """Whether an emergency stop at the device itself is pressed, such as a button on it or its pendant; `None` if it knows of none.
+
+        It is asked each 150 ms. While it is pressed nothing is carried out, and when it was reset nothing either until an `unstop`.
+        """
+        return None
+
+    def keep_alive(self) -> None:
+        """Tells its mechanism that its program is there, each 50 ms while a statement that moves it is carried out, and not otherwise.
+
+        So motors that stand by themselves when they have heard nothing for a moment, such as 0.3 s, stand where the program stands still.
+        """
 
     def plan(self, calls: List[Call]) -> None:
         """Checks a script before it waits: raise `call.error(…)` for what cannot be carried out. Then nothing of it is begun.

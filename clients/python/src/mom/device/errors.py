@@ -14,6 +14,7 @@ ERRORS: Dict[str, int] = {
     "torque-overload": 5006,
     "halted": 5101, "stopped": 5102, "queue-full": 5103, "duplicate-id": 5104, "changing-hands": 5105, "busy": 5106,
     "too-old": 5107, "no-state": 5108, "zone-not-owned": 5109, "obstacle": 5110, "battery": 5111,
+    "estop": 5112,
 }  # fmt: skip
 """The words of errors and their numbers, as all devices of MOM have them."""
 

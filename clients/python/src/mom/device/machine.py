@@ -63,6 +63,10 @@ class Machine:
         """Whether it can tell its mechanism what to do, and hears of it. What is not reached is never said to rest."""
         return True
 
+    def estop(self) -> Optional[bool]:
+        """Whether an emergency stop at the device itself is pressed; `None` if it knows of none. It is asked at each turn of its server."""
+        return None
+
     def is_changing(self) -> bool:
         """Whether what it reports changes by itself although it does not move. States follow meanwhile."""
         return False

@@ -52,6 +52,8 @@ class DeviceServer(Generic[M]):
     - The first motion of a new owner waits until the device rests, at most twice its stopping time and a second.
     - Anybody's `stop` ends all commands too, and holds until an `unstop` that names it or a newer one (`Latch`). A gap in the events is a
       stop of its own, of which it tells the hub. After each of both it says how it stands, changed or not.
+    - An emergency stop at the device itself (`Machine.estop`) is a stop of its own, too. While it is pressed nothing is carried out,
+      whatever is lifted.
     - A peer that joins the channel gets the state; after a lost link it is sent again.
     """
 
@@ -76,6 +78,8 @@ class DeviceServer(Generic[M]):
         self._pull: Optional[Pull] = None
         self._handing_over = False
         """Whether its owner has given the token away, and nobody has it yet."""
+        self._is_pressed = False
+        """Whether the emergency stop at the device itself was pressed when that was looked at last."""
         self._fresh = Freshness()
         self._out: List[Parcel] = []
 
@@ -238,6 +242,8 @@ class DeviceServer(Generic[M]):
         if order.id is not None and any(other == order for other in queue.orders()):
             text = f"command {order.id} of {order.peer} is still waiting or executing; choose another id"
             raise DeviceError("duplicate-id", text)
+        if self._is_pressed:
+            raise DeviceError("estop", f"the emergency stop of {name} is pressed: reset it there, and then lift the stop")
         queue.check_free()
         held = self.may_move()
         if held is not None:
@@ -277,6 +283,23 @@ class DeviceServer(Generic[M]):
         before = len(self._out)
         self._act(action)
         self._report_unless_told(before)
+
+    def _watch_estop(self, now: int) -> None:
+        """Looks at the emergency stop of the device itself.
+
+        It is a stop of its own when it is pressed, and again when it is reset and an `unstop` has come meanwhile: a person who resets it
+        does not set the device in motion, nor does a velocity that is still being sent.
+        """
+        is_pressed = bool(self.machine.estop())
+        if is_pressed == self._is_pressed:
+            return
+        self._is_pressed = is_pressed
+        if not is_pressed and self.latch.is_stopped:
+            self._report()
+            return
+        why = f"its emergency stop was {'pressed' if is_pressed else 'reset'}"
+        self._obey_stop(lambda events: self._queue.stop(now, self.latch.stop_itself(why).why, events))
+        self._tell_own_stop()
 
     def _tell_own_stop(self) -> None:
         """Tells the hub that it has stopped itself, if the hub does not know: from then on it is a stop like any other."""
@@ -335,6 +358,7 @@ class DeviceServer(Generic[M]):
         return out
 
     def _advance(self, now: int) -> None:
+        self._watch_estop(now)
         self._act(lambda events: self._queue.advance(now, events))
 
     def _halt(self, reason: str, now: int) -> None:
@@ -382,7 +406,7 @@ class DeviceServer(Generic[M]):
         return parcel
 
     def _state(self, state: State) -> Parcel:
-        """`{seq, …position, …report, moving, rest?, reached, stopped, stop, executing?, waiting, fence?}`."""
+        """`{seq, …position, …report, moving, rest?, reached, stopped, estop?, stop, executing?, waiting, fence?}`."""
         content: Dict[str, Any] = {"seq": state.seq}
         for known in (state.position, state.report):
             content.update((key, value) for key, value in known.items() if not _is_unknown(value))
@@ -390,6 +414,9 @@ class DeviceServer(Generic[M]):
         if state.rest is not None:
             content["rest"] = state.rest
         content.update({"reached": state.reached, "stopped": state.stopped, "stop": self.latch.number})
+        # As it was heeded: who is told that it is pressed is told too that the device is stopped.
+        if self.machine.estop() is not None:
+            content["estop"] = self._is_pressed
         if state.executing is not None:
             progress = state.executing
             content["executing"] = {

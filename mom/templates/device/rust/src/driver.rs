@@ -1,11 +1,13 @@
 //! The motors of the robot: simulated ones, and the place of the real ones.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// mm/s of `drive`.
 const SPEED: f64 = 200.0;
 /// degrees/s of `turn`.
 const RATE: f64 = 60.0;
+/// After so long the motors stand by themselves when they hear nothing: no program can halt them when its computer fails.
+const DEADLINE: Duration = Duration::from_millis(300);
 
 /// Motors that take what they are told at once. Real ones have the same functions.
 pub(crate) struct Motors {
@@ -15,6 +17,8 @@ pub(crate) struct Motors {
     speed: f64,
     rate: f64,
     since: Instant,
+    /// When they were told something last.
+    heard: Instant,
     /// When what it was told last is done.
     until: Option<Instant>,
 }
@@ -32,6 +36,7 @@ impl Motors {
             speed: 0.0,
             rate: 0.0,
             since: Instant::now(),
+            heard: Instant::now(),
             until: None,
         })
     }
@@ -41,6 +46,17 @@ impl Motors {
         let now = Instant::now();
         (self.x, self.y, self.heading) = self.at(now);
         (self.speed, self.rate, self.since, self.until) = (speed, rate, now, None);
+        self.heard = now;
+    }
+
+    /// Goes on as it does, if it has not stood by itself.
+    pub(crate) fn keep_alive(&mut self) {
+        let now = Instant::now();
+        if now > self.heard + DEADLINE {
+            (self.x, self.y, self.heading) = self.at(now);
+            (self.speed, self.rate, self.since) = (0.0, 0.0, now);
+        }
+        self.heard = now;
     }
 
     /// Stands, at once, whatever it does.
@@ -61,6 +77,11 @@ impl Motors {
     /// What is left, in %.
     pub(crate) fn battery(&self) -> i32 {
         100
+    }
+
+    /// Whether its emergency stop is pressed: of these motors, whether there is a file `estop` here.
+    pub(crate) fn estop(&self) -> bool {
+        std::path::Path::new("estop").exists()
     }
 
     /// Drives so many mm.
@@ -84,11 +105,12 @@ impl Motors {
 
     fn go_on(&mut self, speed: f64, rate: f64, seconds: f64) {
         self.set_speed(speed, rate);
-        self.until = Some(self.since + std::time::Duration::from_secs_f64(seconds));
+        self.until = Some(self.since + Duration::from_secs_f64(seconds));
     }
 
     fn at(&self, now: Instant) -> (f64, f64, f64) {
         let now = self.until.map_or(now, |until| until.min(now));
+        let now = now.min(self.heard + DEADLINE);
         let seconds = now.saturating_duration_since(self.since).as_secs_f64();
         let middle = (self.heading + self.rate * seconds / 2.0).to_radians();
         let way = self.speed * seconds;

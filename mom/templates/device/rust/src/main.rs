@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use driver::Motors;
 use mom_client::{Card, CardArg, CardVerb, Client, Map};
-use mom_device::{Call, Device, DeviceError, obey};
+use mom_device::{Call, Device, DeviceError, ErrorName, obey};
 
 struct Robot(Motors);
 
@@ -54,6 +54,10 @@ impl Device for Robot {
         self.0.brake();
     }
 
+    fn keep_alive(&mut self) {
+        self.0.keep_alive();
+    }
+
     fn position(&self) -> Map {
         let (x, y, heading) = self.0.pose();
         Map::new().with("x", x).with("y", y).with("heading", heading)
@@ -61,6 +65,20 @@ impl Device for Robot {
 
     fn report(&self) -> Map {
         Map::new().with("battery", self.0.battery())
+    }
+
+    fn estop(&self) -> Option<bool> {
+        Some(self.0.estop())
+    }
+
+    fn plan(&mut self, _calls: &[(&Call, u32)]) -> Result<(), DeviceError> {
+        match self.0.battery() {
+            ..5 => Err(DeviceError::new(
+                ErrorName::Battery,
+                "the battery is empty: charge it",
+            )),
+            _ => Ok(()),
+        }
     }
 }
 

@@ -59,6 +59,12 @@ impl Programs {
         mom.wait_with_output().unwrap()
     }
 
+    /// Tries to drive until it is refused in these words: it looks at its emergency stop each 150 ms.
+    fn until_refused(&self, words: &str) {
+        let refused = (0..100).any(|_| String::from_utf8_lossy(&self.run("drive 1").stdout).contains(words));
+        assert!(refused, "never: {words}");
+    }
+
     fn run(&self, script: &str) -> Output {
         self.mom(&["run", "--channel", "/newbot/robot", "--token", "/newbot/token", "-"], script)
     }
@@ -75,6 +81,17 @@ fn it_says_what_it_can_do_drives_and_stops() {
     let refused = programs.run("drive 5000");
     assert_eq!(refused.status.code(), Some(1), "{refused:?}");
     assert!(String::from_utf8_lossy(&refused.stderr).contains("-2000 to 2000 mm"));
+
+    // Its emergency stop holds until it is reset and the stop is lifted.
+    std::fs::write("estop", "").unwrap();
+    programs.until_refused("emergency stop");
+    let lifted = programs.mom(&["unstop", "/newbot"], "");
+    assert!(String::from_utf8_lossy(&lifted.stdout).contains("emergency stop"), "{lifted:?}");
+    let refused = programs.run("drive 1");
+    assert!(String::from_utf8_lossy(&refused.stdout).contains("emergency stop"), "{refused:?}");
+    std::fs::remove_file("estop").unwrap();
+    programs.until_refused("is stopped");
+    assert!(programs.mom(&["unstop", "/newbot"], "").status.success());
 
     assert!(programs.mom(&["stop", "/newbot"], "").status.success());
     assert!(!programs.run("drive 100").status.success());
