@@ -65,6 +65,8 @@ export interface DeviceAnswer {
   moving?: true;
   /** It cannot tell its mechanism what to do. */
   reached?: false;
+  /** An emergency stop at the device itself is pressed: an `unstop` does not let it go. */
+  estop?: true;
 }
 
 /** One channel that was told. */

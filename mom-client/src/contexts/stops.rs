@@ -83,6 +83,8 @@ pub struct Standing {
     pub moving: bool,
     /// It cannot tell its mechanism what to do.
     pub unreached: bool,
+    /// An emergency stop at the device itself is pressed: an `unstop` does not let it go.
+    pub estop: bool,
 }
 
 /// How a device knows that it rests.
@@ -197,6 +199,7 @@ impl Standing {
             },
             moving: map.get("moving").and_then(Value::as_bool) == Some(true),
             unreached: map.get("reached").and_then(Value::as_bool) == Some(false),
+            estop: map.get("estop").and_then(Value::as_bool) == Some(true),
         }
     }
 }

@@ -477,7 +477,7 @@ pub(crate) fn end_call(world: &mut World, number: u64, out: &mut Vec<Effect>) {
 /// A call whose walk is longer than its time is answered when that is over, looked at so often.
 const WALKS: Micros = 20_000;
 
-/// `{channels: [{path, number, guard, kept, devices: [{peer, word, moving?, rest?, reached?}], newer, error}], others,
+/// `{channels: [{path, number, guard, kept, devices: [{peer, word, moving?, rest?, reached?, estop?}], newer, error}], others,
 /// denied}`; `keeps` says whether anything outlives the hub.
 fn answer(call: &Call, keeps: bool) -> Map {
     let fails = |kept| keeps && call.verb == Verb::Stop && kept == Kept::No;
@@ -529,7 +529,7 @@ fn answer(call: &Call, keeps: bool) -> Map {
 }
 
 impl Standing {
-    /// `{moving?, rest?, reached?}`: what matters to who wants it to stand.
+    /// `{moving?, rest?, reached?, estop?}`: what matters to who wants it to stand.
     fn add_to(self, mut device: Map) -> Map {
         // What does not say that it rests, though it could, is not known to.
         if self.is_awaited() {
@@ -540,6 +540,9 @@ impl Standing {
         }
         if self.reached == Some(false) {
             device.set("reached", false);
+        }
+        if self.estop {
+            device.set("estop", true);
         }
         device
     }

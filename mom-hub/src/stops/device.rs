@@ -286,7 +286,13 @@ impl World {
             let wants = self.stops.calls.get(&call).map(|call| call.verb);
             let obeys = stopped == (wants == Some(mom_proto::Verb::Stop));
             // Nobody waits for the rest of what may move again.
-            let standing = if stopped { standing } else { Standing::default() };
+            let standing = match stopped {
+                true => standing,
+                false => Standing {
+                    estop: standing.estop,
+                    ..Standing::default()
+                },
+            };
             let note = |called: &mut Called| {
                 // Who may move need not have heard of the stop that was lifted.
                 let heard = !stopped || number.is_none_or(|number| number >= called.number);
@@ -309,5 +315,6 @@ fn standing_of(state: &Map) -> Standing {
         rest: [Rest::Measured, Rest::NotMeasured]
             .into_iter()
             .find(|known| rest == Some(known.word())),
+        estop: flag("estop", false) == Some(true),
     }
 }

@@ -127,6 +127,8 @@ pub(crate) struct Standing {
     pub(crate) reached: Option<bool>,
     /// How it knows that it rests.
     pub(crate) rest: Option<Rest>,
+    /// An emergency stop at the device itself is pressed: an `unstop` does not let it go.
+    pub(crate) estop: bool,
 }
 
 /// How a device knows that it rests.
@@ -295,9 +297,16 @@ impl Standing {
 
     /// What it says now, after another word: who spoke of its rest before, and does so no more, is not known to stand.
     pub(crate) fn after(self, before: Word) -> Standing {
-        let spoke = matches!(before, Word::Obeys(standing) if standing != Standing::default());
+        let speaks = |standing: Standing| {
+            let rest = Standing {
+                estop: false,
+                ..standing
+            };
+            rest != Standing::default()
+        };
+        let spoke = matches!(before, Word::Obeys(standing) if speaks(standing));
         Standing {
-            moving: self.moving || (spoke && self == Standing::default()),
+            moving: self.moving || (spoke && !speaks(self)),
             ..self
         }
     }

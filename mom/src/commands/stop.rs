@@ -213,6 +213,10 @@ fn tell(
 /// What a device does that has obeyed, and whether that is good.
 fn obeys(order: Order, standing: Standing) -> (&'static str, Tone) {
     match (order, standing) {
+        (Order::Unstop, Standing { estop: true, .. }) => (
+            "does not move before its emergency stop is reset there",
+            Tone::Bad,
+        ),
         (Order::Unstop, _) => ("may move", Tone::Good),
         (_, Standing { unreached: true, .. }) => ("obeys, and cannot reach what it moves", Tone::Bad),
         (_, Standing { moving: true, .. }) => ("obeys, and still moves", Tone::Bad),
@@ -256,6 +260,7 @@ fn json_of(channel: &ToldChannel) -> Json {
         "measured": standing(&|standing| standing.rest == Some(Rest::Measured)),
         "moving": standing(&|standing| standing.moving),
         "unreached": standing(&|standing| standing.unreached),
+        "estop": standing(&|standing| standing.estop),
         "silent": those(&|said| said == DeviceAnswer::Silent),
         "lost": those(&|said| said == DeviceAnswer::Lost),
         "kept": channel.kept,
@@ -385,7 +390,7 @@ mod tests {
                 Standing {
                     moving: true,
                     unreached: true,
-                    rest: None,
+                    ..Standing::default()
                 },
                 "obeys, and cannot reach what it moves",
             ),
@@ -414,6 +419,14 @@ mod tests {
         assert_eq!(
             line(Order::Unstop, &obeys, Some(&bob)),
             "/robot/arm: arm may move; was stopped by bob (smoke)"
+        );
+        let pressed = DeviceAnswer::Obeys(Standing {
+            estop: true,
+            ..Standing::default()
+        });
+        assert_eq!(
+            line(Order::Unstop, &told(&[("arm", pressed)]), None),
+            "/robot/arm: arm does not move before its emergency stop is reset there"
         );
         let some = told(&[("arm", measured), ("mute", DeviceAnswer::Silent)]);
         assert_eq!(

@@ -96,6 +96,7 @@ fn answer_of(answer: &Json) -> DeviceAnswer {
             },
             moving: answer["moving"] == true,
             unreached: answer["reached"] == false,
+            estop: answer["estop"] == true,
         }),
     }
 }

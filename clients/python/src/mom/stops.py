@@ -62,6 +62,8 @@ class DeviceAnswer:
     """It obeys and moves still, or does not know that it does not."""
     reached: bool = True
     """Whether it can tell its mechanism what to do."""
+    estop: bool = False
+    """An emergency stop at the device itself is pressed: an `unstop` does not let it go."""
 
     @property
     def obeys(self) -> bool:
@@ -78,6 +80,7 @@ class DeviceAnswer:
             text(content, "rest") or None,
             flag("moving") is True,
             flag("reached") is not False,
+            flag("estop") is True,
         )
 
 

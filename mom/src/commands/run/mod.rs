@@ -199,22 +199,25 @@ fn name(args: &cli::RunArgs) -> String {
     }
 }
 
+/// What keeps a robot from moving.
+#[derive(Clone, Copy, Debug)]
+enum Held {
+    Stopped,
+    Estop,
+}
+
 /// The outcome of the commands.
 #[derive(Clone, Copy, Debug, Default)]
 struct RunOutcome {
     done: usize,
     failed: usize,
-    /// Whether the robot refuses commands because it was stopped.
-    stopped: bool,
+    /// Why the robot refuses commands, if it was stopped: `stopped`, or `estop`.
+    held: Option<Held>,
 }
 
 impl RunOutcome {
     fn tell(self, total: usize, errand: &Errand<'_>, output: Output) -> Result<(), Failure> {
-        let RunOutcome {
-            done,
-            failed,
-            stopped,
-        } = self;
+        let RunOutcome { done, failed, held } = self;
         let commands = words::count(total as u64, "command");
         if output.is_json() || failed == 0 {
             output.tell(
@@ -222,13 +225,14 @@ impl RunOutcome {
                 || ink(format_args!("{commands} done, token released"), Tone::Good),
             )?;
         }
-        if stopped {
+        if let Some(held) = held {
+            let why = match held {
+                Held::Stopped => "is stopped; let it go with",
+                Held::Estop => "has its emergency stop pressed; reset it there, then let it go with",
+            };
             return Err(Failure::new(
                 format!("{failed} of {commands} failed; token released"),
-                format!(
-                    "the {} is stopped; let it go with: mom unstop {}",
-                    errand.device, errand.channel
-                ),
+                format!("the {} {why}: mom unstop {}", errand.device, errand.channel),
             ));
         }
         match (failed, total - done - failed) {
@@ -272,7 +276,11 @@ impl Job {
                 true => outcome.done += 1,
                 false => {
                     outcome.failed += 1;
-                    outcome.stopped = end.name() == "stopped";
+                    outcome.held = match end.name() {
+                        "stopped" => Some(Held::Stopped),
+                        "estop" => Some(Held::Estop),
+                        _ => None,
+                    };
                 }
             }
             if outcome.failed > 0 && !self.keep_going {
