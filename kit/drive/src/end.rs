@@ -192,6 +192,9 @@ fn words(how: &How, whose: &Whose, command: &str, runs: bool) -> (String, Option
         How::Failed(report) => {
             let hint = match report.error_name() {
                 Some("stopped") => Some(format!("let it go with: mom unstop {place}")),
+                Some("estop") => Some(format!(
+                    "reset its emergency stop, then let it go with: mom unstop {place}"
+                )),
                 Some("changing-hands" | "link") => Some(whose.look_or_stop()),
                 _ => None,
             };

@@ -165,6 +165,7 @@ function words(how: How, { place, token }: Whose, command: string, became: strin
 function failed(report: CommandReport, place: string, lookOrStop: string): [string, string?] {
   const [name, text] = [errorName(report), errorWords(report)];
   if (name === "stopped") return [text, `let it go with: mom unstop ${place}`];
+  if (name === "estop") return [text, `reset its emergency stop, then let it go with: mom unstop ${place}`];
   return name === "changing-hands" || name === "link" ? [text, lookOrStop] : [text];
 }
 

@@ -162,6 +162,8 @@ class Whose:
         hint = None
         if report.error_name == "stopped":
             hint = f"let it go with: mom unstop {self.place}"
+        elif report.error_name == "estop":
+            hint = f"reset its emergency stop, then let it go with: mom unstop {self.place}"
         elif report.error_name in ("changing-hands", "link"):
             hint = self.look_or_stop
         return CommandEnd("error", report.error_words, hint, report.wire_error)
