@@ -125,6 +125,28 @@ test("it is driven by the form and by what is typed, is seen to move, and to sto
   await page.getByRole("button", { name: "Give back" }).click();
 });
 
+test("its emergency stop is told, and nobody lets it go before it was reset", async (t) => {
+  const page = await grab(await opened(t));
+  await form(page).getByLabel("Verb").selectOption("hoist");
+  await form(page).getByLabel("height (mm)").fill("100");
+  crane.isPressed = true;
+  t.after(() => (crane.isPressed = false));
+  await page.getByText("its emergency stop was pressed").first().waitFor();
+  const hindered = commands(page).locator("p.warning", { hasText: "The emergency stop at the device is pressed: reset it there" });
+  await hindered.waitFor();
+  await letGo(page);
+  await page.getByText("its emergency stop was pressed").waitFor({ state: "detached" });
+  assert.ok(await hindered.isVisible());
+  assert.ok(await form(page).getByRole("button", { name: "Run now" }).isDisabled());
+  crane.isPressed = false;
+  await page.getByText("its emergency stop was reset").first().waitFor();
+  await hindered.waitFor({ state: "detached" });
+  assert.ok(await form(page).getByRole("button", { name: "Run now" }).isDisabled());
+  await letGo(page);
+  await until(page, () => form(page).getByRole("button", { name: "Run now" }).isEnabled());
+  await page.getByRole("button", { name: "Give back" }).click();
+});
+
 test("a form's statement goes into the line or the list, and none is run without the token", async (t) => {
   const page = await opened(t, "bob");
   await form(page).getByLabel("Verb").selectOption("hoist");

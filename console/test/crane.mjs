@@ -30,6 +30,7 @@ export class Crane {
   height = 0;
   angle = 0;
   magnet = "off";
+  isPressed = false;
   /** Statements that have begun. */
   begun = [];
   #client;
@@ -73,6 +74,7 @@ export class Crane {
         ...more,
       },
       halt: () => undefined,
+      estop: () => this.isPressed,
       position: () => ({ height: this.height, angle: this.angle }),
       report: () => ({ magnet: this.magnet }),
       state: { height: number({ unit: "mm", does: "Where the hook is" }), angle: number({ unit: "°" }), magnet: word({ does: "Whether it holds" }) },

@@ -75,6 +75,11 @@ export class DeviceState {
     return flag(this.state, "stopped");
   }
 
+  /** Its own emergency stop is pressed: nobody resets that from afar. */
+  get estop(): boolean {
+    return flag(this.state, "estop");
+  }
+
   /** Watches it until the function that it gives is called. */
   start(): () => void {
     const end = this.hub.watch(

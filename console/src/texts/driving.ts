@@ -57,6 +57,7 @@ export const commands = {
   noDevice: "Nothing is known of this device yet.",
   noToken: (token: string) => `Grab ${token} first: only its owner sends commands.`,
   stopped: "The device is stopped: let it go first.",
+  estop: "The emergency stop at the device is pressed: reset it there, then let the device go.",
   underWay: "A command of the list is under way: try again when it has ended.",
   stopOrdered: "STOP was pressed.",
   linkLost: "The link to the hub was lost.",

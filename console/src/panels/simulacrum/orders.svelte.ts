@@ -45,6 +45,7 @@ export class Orders {
     if (device.failure) return device.failure.text;
     if (device.token === undefined) return t.noDevice;
     if (!hub.owned.has(device.token)) return t.noToken(device.token);
+    if (device.estop) return t.estop;
     if (device.stopped) return t.stopped;
     return undefined;
   }
