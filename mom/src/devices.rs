@@ -1,4 +1,5 @@
-//! Commands that the packages of the wings bring along: each is a module there, and one line here.
+//! Commands that work until they are done or interrupted: those that the packages of the wings bring along, each a module there and one
+//! line here, and the one that hires any agent.
 
 use clap::Subcommand;
 use mom_client::Client;
@@ -60,5 +61,6 @@ devices! {
     Put: mom_model::verb::put, Driving;
     Bring: mom_model::verb::bring, Driving;
     Servo: mom_servo::verb, Driving;
+    Hire: crate::commands::hire, Driving;
     Fleet: mom_gateway::verb, Driving;
 }

@@ -11,9 +11,12 @@
 //! given), `working`, `ending`, and at last `done`, `failed`, `cancelled` or `lost`; `text`; and what the trade says beside it |
 //! | `…-refused`, `cancel-refused` | the agent | code, name and text |
 //!
+//! [`Hire`] is the other side: it asks an agent, lends it the token, follows it, and takes the token back.
+//!
 //! It takes an offer of the token from the peer of an accepted task only, within [`OFFERED`] of the acceptance. The task ends when its peer
 //! cancels it or leaves, when the token is lost, when what was lent is used up, and when the program ends.
 
+mod hire;
 mod hired;
 mod life;
 
@@ -23,6 +26,7 @@ use std::time::Duration;
 use mom_client::{Token, Value, WireError};
 use mom_drive::Holding;
 
+pub use hire::Hire;
 pub use hired::{Ended, Hired};
 pub use life::run;
 

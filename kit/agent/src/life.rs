@@ -109,6 +109,10 @@ async fn hear<T: Trade>(
     let Some(peer) = parcel.sender.as_deref().map(str::to_owned) else {
         return;
     };
+    // What was asked before it came was asked of nobody.
+    if parcel.is_history() {
+        return;
+    }
     let error = match (parcel.name(), &*job) {
         (name, Some(job)) if name == T::VERB => busy::<T>(job),
         (name, None) if name == T::VERB => match trade.read(&parcel.value()) {

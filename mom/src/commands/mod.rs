@@ -15,6 +15,7 @@ mod expel;
 mod explain;
 mod give;
 mod grab;
+pub(crate) mod hire;
 mod hold;
 mod inhibit;
 mod invite;
