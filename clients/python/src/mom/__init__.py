@@ -4,7 +4,7 @@ A `Client` is one peer: it connects to a hub, logs in, joins contexts and exchan
 `Session` (a directory of contexts), a `Channel` (where messages are exchanged) and a `Token` (exclusive control of a
 device). A `TokenGuard` holds a token and renews its lease; a `FenceGate` lets a device refuse messages of earlier owners.
 A `HubClock` knows the hub's time and the `Age` of arriving parcels. `mom.device` makes devices of classes with verbs;
-`mom.drive` drives them, and follows each command to its end.
+`mom.drive` drives them, and follows each command to its end; `mom.agent` makes agents that others hire for that.
 
     import asyncio, mom
 
@@ -20,7 +20,7 @@ A lost connection is resumed where the hub gives a link: memberships, tokens and
 resumed is told by the events `LinkDown` and `Rejoined`; then tokens are lost, and contexts are joined again.
 """
 
-from . import device, drive
+from . import agent, device, drive
 from .address import DEFAULT_PORT, Address
 from .client import Client, Connect, Consult, Consults, connect
 from .clock import Age, HubClock
@@ -166,6 +166,7 @@ __all__ = [
     "Value",
     "WireError",
     "connect",
+    "agent",
     "device",
     "drive",
     "report",
