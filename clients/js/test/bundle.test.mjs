@@ -11,12 +11,13 @@ test("the bundle has 27 KiB gzipped at most", () => {
   assert.ok(bytes <= 27 * 1024, `${bytes} bytes: find out what it is by \`npx esbuild src/index.ts --bundle --minify --format=esm --analyze\``);
 });
 
-for (const [who, name, most] of [["devices need", "device", 15], ["those need who drive one", "drive", 7]]) {
-  test(`what ${who} beside it has ${most} KiB gzipped at most, and imports the client only`, () => {
+for (const [who, name, most, others = []] of [["devices need", "device", 15], ["those need who drive one", "drive", 7], ["agents need", "agent", 4, ["./drive.js"]]]) {
+  test(`what ${who} beside it has ${most} KiB gzipped at most, and imports ${["the client", ...others].join(" and ")} only`, () => {
     const text = readFileSync(here(`../dist/${name}.js`), "utf8");
     const bytes = gzipSync(text, { level: 9 }).length;
     assert.ok(bytes <= most * 1024, `${bytes} bytes`);
-    assert.deepEqual([...text.matchAll(/\bfrom *"([^"]*)"/g)].map(([, from]) => from).filter((from) => from !== "./mom-client.js"), []);
+    const imported = new Set([...text.matchAll(/\bfrom *"([^"]*)"/g)].map(([, from]) => from));
+    assert.deepEqual([...imported].filter((from) => from !== "./mom-client.js"), others);
     assert.ok(existsSync(here(`../dist/types/${name}/index.d.ts`)));
   });
 }
@@ -38,5 +39,5 @@ test("the lock file names no registry", () => {
 test("what is packed is what is needed", () => {
   const [{ files }] = JSON.parse(execFileSync("npm", ["pack", "--dry-run", "--json", "--ignore-scripts"], { cwd: here("..").pathname, stdio: ["ignore", "pipe", "ignore"] }));
   const names = files.map((file) => file.path).filter((path) => !path.startsWith("dist/types/"));
-  assert.deepEqual(names.sort(), ["README.md", "dist/device.js", "dist/device.js.map", "dist/drive.js", "dist/drive.js.map", "dist/mom-client.js", "dist/mom-client.js.map", "package.json"]);
+  assert.deepEqual(names.sort(), ["README.md", "dist/agent.js", "dist/agent.js.map", "dist/device.js", "dist/device.js.map", "dist/drive.js", "dist/drive.js.map", "dist/mom-client.js", "dist/mom-client.js.map", "package.json"]);
 });

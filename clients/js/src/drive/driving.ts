@@ -55,7 +55,8 @@ export class Driving {
 }
 
 /**
- * Joins the channel of a device, and grabs the token that guards it, at once or by way of the queue.
+ * Joins the channel of a device, and grabs the token that guards it, at once or by way of the queue. With a `guard` that is owned already,
+ * such as one that was accepted.
  *
  * ```ts
  * await using arm = await drive(client, "/robot/arm", { wait: 30_000 });
@@ -65,15 +66,14 @@ export class Driving {
  *
  * @throws MomError as {@link Token.grab} does. DriveError where no token guards the channel.
  */
-export async function drive(client: Client, path: string, options: GrabOptions = {}): Promise<Driving> {
+export async function drive(client: Client, path: string, { guard: owned, ...options }: GrabOptions & { guard?: TokenGuard } = {}): Promise<Driving> {
   const channel = await client.channel(path);
   const { guard } = channel;
   if (!guard) throw new DriveError(`no token guards ${path}, so it cannot be owned`);
   // From here on, so that the newest state is known however long the token is waited for.
   const events = channel.events();
   try {
-    const token = await client.token(guard.token);
-    return new Driving(channel, await token.grab(options), events);
+    return new Driving(channel, owned ?? (await (await client.token(guard.token)).grab(options)), events);
   } catch (error) {
     void events.return();
     throw error;
