@@ -2,14 +2,16 @@
 
 use std::fs;
 use std::process::Command;
+use std::time::Instant;
 
 use mom_client::{Client, Event, Events, Given, Value};
-use mom_tests::programs::{PATIENCE, Running, example, project};
+use mom_tests::programs::{PATIENCE, Running, example, program, project, text};
 use tokio::time::timeout;
 
 const TOKEN: &str = "/robot/token";
 const RUST: &str = "kit/drive/examples/agent.rs";
 const PYTHON: &str = "clients/python/examples/agent.py";
+const WAVER: &str = "clients/python/examples/waver.py";
 
 /// The template in Rust, at this hub.
 fn rust(hub: &str) -> Running {
@@ -18,11 +20,15 @@ fn rust(hub: &str) -> Running {
 
 /// The one in Python.
 fn python(hub: &str) -> Running {
+    start(in_python(PYTHON), hub)
+}
+
+fn in_python(file: &str) -> Command {
     let mut command = Command::new(project().join("target/python/bin/python"));
     command
-        .arg(project().join(PYTHON))
+        .arg(project().join(file))
         .env("PYTHONPATH", project().join("clients/python/src"));
-    start(command, hub)
+    command
 }
 
 fn start(mut command: Command, hub: &str) -> Running {
@@ -150,12 +156,71 @@ async fn the_one_in_python_is_interrupted() {
     assert!(agent.wait().success());
 }
 
+/// `mom` as this user, whose password is the name.
+fn mom(hub: &str, user: &str, args: &[&str]) -> Command {
+    let mut mom = Command::new(program("mom"));
+    mom.args(args)
+        .envs([("MOM_HUB", hub), ("MOM_USER", user), ("MOM_PASSWORD", user)]);
+    mom
+}
+
+/// A lab with the agent for hire in its channel.
+fn with_waver() -> (Running, Running, String) {
+    let (lab, hub) = Running::lab();
+    let made = mom(&hub, "carol", &["create", "channel", "/waving"]).output();
+    assert!(made.expect("it starts").status.success());
+    let absent = mom(&hub, "alice", &["hire", "/waving", "wave"]).output();
+    let absent = text(&absent.expect("it starts").stderr);
+    assert!(
+        absent.contains("the agent is not in /waving") && absent.contains("start the agent"),
+        "{absent}"
+    );
+    let waver = start(in_python(WAVER), &hub);
+    (lab, waver, hub)
+}
+
+/// Hires it as soon as it is there.
+fn hire(hub: &str, more: &[&str]) -> std::process::Output {
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        let hired = mom(hub, "alice", &[&["hire", "/waving", "wave"], more].concat()).output();
+        let hired = hired.expect("it starts");
+        if !text(&hired.stderr).contains("not in /waving") || Instant::now() > deadline {
+            return hired;
+        }
+    }
+}
+
+#[test]
+fn the_one_for_hire_waves_for_who_hires_it() {
+    let (_lab, _waver, hub) = with_waver();
+    let hired = hire(&hub, &["--for", "1m"]);
+    let (said, wrong) = (text(&hired.stdout), text(&hired.stderr));
+    assert!(hired.status.success(), "{said}\n{wrong}");
+    for line in [
+        "working: I am at 350 mm",
+        "working: I am at 250 mm",
+        "working: I am at 300 mm",
+        "done: I have waved",
+    ] {
+        assert!(said.contains(line), "{line} in {said}\n{wrong}");
+    }
+    // Its scope is two commands.
+    let hired = hire(&hub, &["--commands", "2"]);
+    assert!(!hired.status.success());
+    let wrong = text(&hired.stderr);
+    assert!(wrong.contains("used up"), "{wrong}");
+    let wrong = mom(&hub, "alice", &["hire", "/waving", "wave", "5"]).output();
+    let wrong = text(&wrong.expect("it starts").stderr);
+    assert!(wrong.contains("a task is a map in JSON"), "{wrong}");
+}
+
 #[test]
 fn the_page_shows_them_as_they_are() {
     let page = fs::read_to_string(project().join("docs/agents.md")).expect("it is there");
-    for (language, file) in [("rust", RUST), ("python", PYTHON)] {
+    for (language, place, file) in [("rust", 1, RUST), ("python", 1, WAVER), ("python", 2, PYTHON)] {
         let text = fs::read_to_string(project().join(file)).expect("it is there");
-        let shown = page.split(&format!("```{language}\n")).nth(1);
+        let shown = page.split(&format!("```{language}\n")).nth(place);
         let shown = shown.and_then(|rest| rest.split("```").next());
         assert_eq!(shown, Some(text.as_str()), "docs/agents.md shows {file}");
         assert!(text.lines().count() <= 50, "{file} is short");
