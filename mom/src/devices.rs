@@ -1,5 +1,4 @@
-//! Commands that work until they are done or interrupted: those that the packages of the wings bring along, each a module there and one
-//! line here, and the one that hires any agent.
+//! Commands that the packages of the wings bring along: each is a module there, and one line here.
 
 use clap::Subcommand;
 use mom_client::Client;
@@ -61,6 +60,5 @@ devices! {
     Put: mom_model::verb::put, Driving;
     Bring: mom_model::verb::bring, Driving;
     Servo: mom_servo::verb, Driving;
-    Hire: crate::commands::hire, Driving;
     Fleet: mom_gateway::verb, Driving;
 }

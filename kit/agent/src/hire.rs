@@ -28,7 +28,7 @@ const LAST: Duration = mom_drive::HALTED
 pub struct Hire<'a> {
     /// The agent's channel.
     pub channel: &'a str,
-    /// The user as which it logs in, where that is known; whoever else is in its channel counts otherwise.
+    /// The user as which it logs in, where that is known; otherwise any other peer in its channel is taken for it.
     pub user: Option<&'a str>,
     /// What to do if it is not there.
     pub absent: &'a str,

@@ -26,7 +26,7 @@ use self::camera::{AIM, CAMERA};
 use self::contexts::{CREATE, DELETE};
 pub(crate) use self::parse::parse;
 
-use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, INHIBIT, INVITE, MANAGE, REQUEST, TOKEN};
+use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, HIRE, INHIBIT, INVITE, MANAGE, REQUEST, TOKEN};
 use self::drive::{CARD, JOG, RUN, TRACE};
 pub(crate) use self::drive::{CardArgs, JogArgs, RunArgs, TraceArgs};
 use self::look::{LOGS, TOP};
@@ -114,6 +114,9 @@ pub(crate) enum Command {
     /// Grab a token and give it to another peer, for good or for a while
     #[command(after_help = GIVE)]
     Give(GiveArgs),
+    /// Hire an agent for a task: lend it the token with a scope, follow it, and take the token back
+    #[command(after_help = HIRE)]
+    Hire(HireArgs),
     /// Accept a token that is offered to you, and hold it until Ctrl-C
     #[command(after_help = ACCEPT)]
     Accept(AcceptArgs),
@@ -321,7 +324,7 @@ pub(crate) use access::{AuditArgs, ExplainArgs, WhatIfArgs};
 pub(crate) use camera::{AimArgs, CameraArgs};
 pub(crate) use contexts::{CreateArgs, DeleteArgs};
 pub(crate) use control::{
-    AcceptArgs, BreakArgs, DeclineArgs, ExpelArgs, GiveArgs, GrabArgs, HoldArgs, InhibitArgs, InviteArgs,
+    AcceptArgs, BreakArgs, DeclineArgs, ExpelArgs, GiveArgs, GrabArgs, HireArgs, HoldArgs, InhibitArgs, InviteArgs,
     ManageArgs, RequestArgs, TokenArgs, WaitArg,
 };
 pub(crate) use look::{LogsArgs, TopArgs};

@@ -15,7 +15,7 @@ mod expel;
 mod explain;
 mod give;
 mod grab;
-pub(crate) mod hire;
+mod hire;
 mod hold;
 mod inhibit;
 mod invite;
@@ -68,6 +68,7 @@ pub(crate) async fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Grab(args) => grab::run(args, global, output).await,
         Command::Request(args) => request::run(args, global, output).await,
         Command::Give(args) => give::run(args, global, output).await,
+        Command::Hire(args) => hire::run(args, global, output).await,
         Command::Accept(args) => accept::run(args, global, output).await,
         Command::Decline(args) => decline::run(args, global, output).await,
         Command::Break(args) => break_hold::run(args, global, output).await,

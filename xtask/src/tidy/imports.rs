@@ -159,6 +159,7 @@ const ARROWS: &[(&str, May)] = &[
         May::Use(&[
             "mom-client",
             "mom-broker",
+            "mom-agent",
             "mom-arm",
             "mom-camera",
             "mom-device",
