@@ -17,6 +17,8 @@ export class Stage {
   /** The ids of the states that were told, and what the newest one said. */
   states = [];
   said = {};
+  /** The ids of the stops that it has said, and that have not come back. */
+  stops = [];
   /** The newest fence under which it has said that it stands. */
   fence = undefined;
   gate = { permits: (parcel) => permits(this.guard, parcel) };
@@ -143,6 +145,8 @@ export class Stage {
       case "told":
         return { type: "stops", path: CHANNEL, state: { number: Number(second), stopped: third === "stopped", only: [] } };
       case "rejoined":
+        // What it had said before does not come back.
+        this.stops = [];
         return { type: "rejoined" };
       case "resumed":
         return { type: "link-resumed" };
@@ -163,7 +167,8 @@ export class Stage {
         return { type: "expelled", path: CHANNEL, peer: second, text: "arm~2 is the device here now" };
     }
     assert.ok(second, `no such line: ${line}`);
-    return message(first, second, third === undefined ? {} : { extra: { stop: Number(third) } });
+    const id = second === "stop" && first === this.server.name ? this.stops.shift() : undefined;
+    return message(first, second, { ...(third === undefined ? {} : { extra: { stop: Number(third) } }), ...(id === undefined ? {} : { id }) });
   }
 
   /** `[id fence [expires ms | on state]]` of a command. */
@@ -195,6 +200,7 @@ export class Stage {
         }
         this.said = parcel.content;
       }
+      if (parcel.name === "stop") this.stops.push(parcel.id);
       let line = lineOf(parcel);
       if (line === undefined) continue;
       const { fence } = parcel.content;

@@ -40,6 +40,8 @@ class Stage:
         """The ids of the states that were told, in order."""
         self.fence: Optional[int] = None
         """The newest fence under which it has said that it stands."""
+        self.stops: List[Optional[int]] = []
+        """The ids of the stops that it has said, and that have not come back."""
         self.newest: Dict[str, Any] = {}
         """The newest state that was told."""
 
@@ -169,11 +171,16 @@ class Stage:
             "grabbed": lambda: mom.Grabbed(TOKEN, "alice", 1, int(rest[0]), None),
             "expelled": lambda: mom.Expelled(CHANNEL, rest[0], None, "arm~2 is the device here now"),
         }
+        if name == "rejoined":
+            # What it had said before does not come back.
+            self.stops.clear()
         if name in events:
             return events[name]()
         assert len(rest) in (1, 2), f"no such line: {line}"
         said = Parcel("message", rest[0], CHANNEL, sender=name)
         said.extra = {"stop": int(rest[1])} if len(rest) == 2 else {}
+        if rest[0] == "stop" and name == self.server.name and self.stops:
+            said.id = self.stops.pop(0)
         return mom.Message(said)
 
     def command(self, sender: str, words: List[str], script: str) -> None:
@@ -212,6 +219,8 @@ class Stage:
                     assert not self.states or self.states[-1] < parcel.id, "ids of states rise"
                     self.states.append(parcel.id)
                 self.newest = parcel.content
+            if parcel.name == "stop":
+                self.stops.append(parcel.id)
             line = line_of(parcel)
             if line is None:
                 continue

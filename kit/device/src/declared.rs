@@ -18,6 +18,9 @@ const LOOK: DeviceTime = 10_000;
 /// µs between two calls of [`Device::keep_alive`].
 const ALIVE: DeviceTime = 50_000;
 
+/// So much sooner than that it is called where it is asked for something else just then.
+const EARLY: DeviceTime = 10_000;
+
 /// A program that had no turn for so many µs hears what has come meanwhile before it looks again: that may be a stop.
 const LATE: DeviceTime = 50_000;
 
@@ -86,8 +89,9 @@ pub trait Device: Send {
         true
     }
 
-    /// Whether an emergency stop at the device itself is pressed, such as a button on it or its pendant, as asked each 150 ms; `None` if it
-    /// knows of none. While it is pressed nothing is carried out, and when it was reset nothing either until an `unstop`.
+    /// Whether an emergency stop at the device itself is pressed, such as a button on it or its pendant; `None` if it knows of none. It is
+    /// asked at each turn, each 150 ms at the latest. While it is pressed nothing is carried out, and when it was reset nothing either until
+    /// an `unstop` that was said after that.
     fn estop(&self) -> Option<bool> {
         None
     }
@@ -336,7 +340,7 @@ impl<D: Device> Machine for Declared<D> {
     fn advance(&mut self, now: DeviceTime) {
         self.now = now;
         self.device.advance(now);
-        if self.is_moving() && now.saturating_sub(self.kept) >= ALIVE {
+        if self.is_moving() && now.saturating_sub(self.kept) >= ALIVE - EARLY {
             self.kept = now;
             self.device.keep_alive();
         }

@@ -13,6 +13,7 @@ mod command;
 mod contexts;
 mod declared;
 mod error;
+mod estop;
 mod fresh;
 mod machine;
 mod obey;

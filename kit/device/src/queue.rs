@@ -398,13 +398,13 @@ impl<M: Machine> CommandQueue<M> {
         self.end(error.clone(), error, events);
     }
 
-    /// Stands, drops every command with the error `stopped`, and takes none until `unstop`.
-    pub fn stop(&mut self, now: DeviceTime, reason: &str, events: &mut Vec<QueueEvent>) {
+    /// Stands, drops every command with this error, `stopped` or `estop`, and takes none until `unstop`.
+    pub fn stop(&mut self, now: DeviceTime, reason: &str, name: ErrorName, events: &mut Vec<QueueEvent>) {
         self.advance(now, events);
         self.doubt_old_news();
         if !self.stopped {
             self.stopped = true;
-            let error = DeviceError::new(ErrorName::Stopped, format!("{} was stopped: {reason}", M::NAME));
+            let error = DeviceError::new(name, format!("{} was stopped: {reason}", M::NAME));
             self.end(error.clone(), &error, events);
         } else {
             self.halt_machine();

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use mom_client::{Map, Value};
 
-use crate::{DeviceError, ErrorName};
+use crate::{DeviceError, ErrorName, Machine};
 
 /// The longest script, in bytes.
 pub const MAX_BYTES: usize = 64 * 1024;
@@ -135,4 +135,29 @@ impl<A> Script<A> {
                 Statement::Wait(_) => None,
             })
     }
+}
+
+/// The script of a command's content, and the bytes that came with it.
+pub(crate) fn script_of<M: Machine>(content: Option<&Value>) -> Result<(&str, Attachments), DeviceError> {
+    let plain = content.and_then(Value::as_str).map(|script| (script, None));
+    let with = || {
+        let content = content?;
+        Some((content.get("script")?.as_str()?, content.get("attachments")))
+    };
+    let (script, attachments) = plain.or_else(with).ok_or_else(|| {
+        let text = format!(
+            "the content of a command is a string, the script of {}, or {{script, attachments}}",
+            M::NAME
+        );
+        DeviceError::new(ErrorName::Syntax, text)
+    })?;
+    let attachments = match attachments {
+        None => Attachments::default(),
+        Some(Value::Map(map)) => Attachments::of(map)?,
+        Some(_) => {
+            let text = "attachments are a map of names to bytes";
+            return Err(DeviceError::new(ErrorName::Syntax, text));
+        }
+    };
+    Ok((script, attachments))
 }

@@ -9,11 +9,13 @@ use mom_client::{
 };
 
 use crate::command::{Command, Order, Progress, QueueEvent, State};
+use crate::estop::Estop;
 use crate::fresh::Freshness;
 use crate::pull::{NEXT, Pull};
 use crate::queue::CommandQueue;
 use crate::refusal::CommandRefusal;
-use crate::{Attachments, DeviceError, DeviceTime, ErrorName, Machine, Script};
+use crate::script::script_of;
+use crate::{DeviceError, DeviceTime, ErrorName, Machine, Script};
 
 /// The message that carries a script.
 pub const COMMAND: &str = "command";
@@ -72,8 +74,7 @@ pub struct DeviceServer<M: Machine> {
     pull: Option<Pull>,
     /// Whether its owner has given the token away, and nobody has it yet.
     handing_over: bool,
-    /// Whether the emergency stop at the device itself was pressed when that was looked at last.
-    is_pressed: bool,
+    estop: Estop,
     /// µs that a command may be old when it begins, whatever its sender says.
     max_age: Option<DeviceTime>,
 }
@@ -95,7 +96,7 @@ impl<M: Machine> DeviceServer<M> {
             commanded: 0,
             pull: None,
             handing_over: false,
-            is_pressed: false,
+            estop: Estop::new(),
             max_age: None,
         }
     }
@@ -167,7 +168,9 @@ impl<M: Machine> DeviceServer<M> {
     ) {
         self.advance(now, out);
         self.watch_guard(gate, now, out);
-        if let Some(reaction) = self.latch.observe(event) {
+        let reaction = self.latch.observe(event);
+        self.estop.hear(event, self.name.as_deref());
+        if let Some(reaction) = reaction {
             self.react(event, reaction, now, out);
         }
         match event {
@@ -183,6 +186,7 @@ impl<M: Machine> DeviceServer<M> {
             Event::Rejoined | Event::Resumed => {
                 self.report(out);
                 self.tell_own_stop(out);
+                self.tell_estop(out);
             }
             Event::Expelled { peer, text, .. } if self.name.as_ref() == Some(peer) => {
                 let why = text.as_deref().unwrap_or("nobody says why");
@@ -246,6 +250,7 @@ impl<M: Machine> DeviceServer<M> {
 
     /// Tells all members of the channel the state.
     pub fn report(&mut self, out: &mut Vec<Parcel>) {
+        self.watch_estop(self.queue.now(), out);
         out.push(self.full_state());
     }
 
@@ -289,7 +294,11 @@ impl<M: Machine> DeviceServer<M> {
     /// Does what an event about stops means.
     fn react(&mut self, event: &Event, reaction: Reaction, now: DeviceTime, out: &mut Vec<Parcel>) {
         match reaction {
-            Reaction::Stop(reason) => self.obey_stop(out, |queue, events| queue.stop(now, &reason, events)),
+            Reaction::Stop(reason) => self.obey_stop(out, |queue, events| {
+                queue.stop(now, &reason, ErrorName::Stopped, events);
+            }),
+            // It was said before the stop that the hub does not know yet.
+            Reaction::Free if self.estop.owed().is_some() => self.report(out),
             Reaction::Free => self.obey_stop(out, |queue, events| queue.unstop(now, events)),
             Reaction::Halt if matches!(event, Event::LinkDown) => {
                 self.halt("the link to the hub was lost", now, out);
@@ -306,34 +315,44 @@ impl<M: Machine> DeviceServer<M> {
 
     /// Tells the hub that it has stopped itself, if the hub does not know: from then on it is a stop like any other.
     fn tell_own_stop(&self, out: &mut Vec<Parcel>) {
-        let Some(name) = self.name.as_deref().filter(|_| self.latch.is_own()) else {
-            return;
-        };
-        let reason = self.latch.may_move().err().map(|held| held.to_string());
-        let content = Map::new().with("reason", reason.unwrap_or_default());
-        let mut stop = Parcel::new(Family::Message, event::STOP)
-            .context(self.channel.clone())
-            .content(content);
-        stop.address = Some(vec![name.into()]);
-        out.push(stop);
+        if let Err(held) = self.latch.may_move()
+            && self.latch.is_own()
+        {
+            out.extend(self.own_stop(&held.to_string()));
+        }
     }
 
-    /// Looks at the emergency stop of the device itself. It is a stop of its own when it is pressed, and again when it is reset and an
-    /// `unstop` has come meanwhile: who resets it does not set the device in motion, nor does a velocity that is still being sent.
+    /// A stop that it says to itself, once it knows what it is called.
+    fn own_stop(&self, reason: &str) -> Option<Parcel> {
+        let mut stop = Parcel::new(Family::Message, event::STOP)
+            .context(self.channel.clone())
+            .content(Map::new().with("reason", reason));
+        stop.address = Some(vec![self.name.as_deref()?.into()]);
+        Some(stop)
+    }
+
+    /// Looks at the emergency stop of the device itself. Each press and each reset is a stop of its own: who resets it does not set the
+    /// device in motion, nor does a velocity that is still being sent, nor an `unstop` that was said before.
     fn watch_estop(&mut self, now: DeviceTime, out: &mut Vec<Parcel>) {
-        let is_pressed = self.queue.machine().estop() == Some(true);
-        if std::mem::replace(&mut self.is_pressed, is_pressed) == is_pressed {
+        let Some(why) = self.estop.look(self.queue.machine().estop()) else {
             return;
-        }
-        if is_pressed || !self.latch.is_stopped() {
-            let what = if is_pressed { "pressed" } else { "reset" };
-            self.latch.stop_itself(&format!("its emergency stop was {what}"));
-            self.obey_stop(out, |queue, events| {
-                queue.stop(now, &format!("its emergency stop was {what}"), events);
-            });
-            self.tell_own_stop(out);
-        } else {
-            self.report(out);
+        };
+        let name = match self.estop.is_pressed() {
+            true => ErrorName::Estop,
+            false => ErrorName::Stopped,
+        };
+        self.obey_stop(out, |queue, events| queue.stop(now, why, name, events));
+        self.tell_estop(out);
+    }
+
+    /// Tells the hub that its emergency stop was pressed or reset, as long as the hub does not know.
+    fn tell_estop(&mut self, out: &mut Vec<Parcel>) {
+        if let Some(why) = self.estop.to_say()
+            && let Some(mut stop) = self.own_stop(&format!("stopped by itself: {why}"))
+        {
+            self.states.stamp(&mut stop, false);
+            self.estop.said(stop.id);
+            out.push(stop);
         }
     }
 
@@ -380,7 +399,7 @@ impl<M: Machine> DeviceServer<M> {
             );
             return Err(DeviceError::new(ErrorName::DuplicateId, text).into());
         }
-        if self.is_pressed {
+        if self.estop.is_pressed() {
             let text = format!(
                 "the emergency stop of {} is pressed: reset it there, and then lift the stop",
                 M::NAME
@@ -528,10 +547,9 @@ impl<M: Machine> DeviceServer<M> {
             content.set("rest", rest.word());
         }
         content.set("reached", state.reached);
-        content.set("stopped", state.stopped);
-        // As it was heeded: who is told that it is pressed is told too that the device is stopped.
-        if self.queue.machine().estop().is_some() {
-            content.set(ESTOP, self.is_pressed);
+        content.set("stopped", state.stopped || self.estop.owed().is_some());
+        if let Some(is_pressed) = self.estop.known() {
+            content.set(ESTOP, is_pressed);
         }
         content.set(STOP, i64::try_from(self.latch.number()).unwrap_or(i64::MAX));
         if let Some(Progress { order, statement, of }) = &state.executing {
@@ -563,31 +581,6 @@ impl<M: Machine> DeviceServer<M> {
         parcel.echo = Some(false);
         parcel
     }
-}
-
-/// The script of a command's content, and the bytes that came with it.
-fn script_of<M: Machine>(content: Option<&Value>) -> Result<(&str, Attachments), DeviceError> {
-    let plain = content.and_then(Value::as_str).map(|script| (script, None));
-    let with = || {
-        let content = content?;
-        Some((content.get("script")?.as_str()?, content.get("attachments")))
-    };
-    let (script, attachments) = plain.or_else(with).ok_or_else(|| {
-        let text = format!(
-            "the content of a command is a string, the script of {}, or {{script, attachments}}",
-            M::NAME
-        );
-        DeviceError::new(ErrorName::Syntax, text)
-    })?;
-    let attachments = match attachments {
-        None => Attachments::default(),
-        Some(Value::Map(map)) => Attachments::of(map)?,
-        Some(_) => {
-            let text = "attachments are a map of names to bytes";
-            return Err(DeviceError::new(ErrorName::Syntax, text));
-        }
-    };
-    Ok((script, attachments))
 }
 
 /// `{id?}`.

@@ -191,7 +191,7 @@ fn a_stopped_device_moves_by_its_word_until_it_has_stood_for_three_tenths_of_a_s
     let mut track = Track::of(true, true);
     track.go("alice", 1).expect("taken");
     track.pass(600);
-    track.act(|queue, now, events| queue.stop(now, "smoke", events));
+    track.act(|queue, now, events| queue.stop(now, "smoke", ErrorName::Stopped, events));
     let stopped = track.now;
     track.pass(2_000);
     assert!(track.moved(stopped, track.now) > 70.0, "it rolls");
@@ -258,7 +258,7 @@ fn without_a_measurement_the_stopping_time_is_waited_for() {
     let mut track = Track::of(false, true);
     track.go("alice", 1).expect("taken");
     track.pass(600);
-    track.act(|queue, now, events| queue.stop(now, "smoke", events));
+    track.act(|queue, now, events| queue.stop(now, "smoke", ErrorName::Stopped, events));
     let stopped = track.now;
     track.pass(1_000);
     let (at, state) = track
@@ -288,7 +288,7 @@ fn what_is_not_reached_never_rests() {
     track.go("alice", 1).expect("taken");
     track.pass(600);
     track.act(|queue, now, events| queue.note(now, |cart| cart.lost = true, events));
-    track.act(|queue, now, events| queue.stop(now, "smoke", events));
+    track.act(|queue, now, events| queue.stop(now, "smoke", ErrorName::Stopped, events));
     track.pass(10_000);
     let state = track.queue.state();
     assert!(state.stopped && state.moving && !state.reached && state.rest.is_none());
@@ -314,7 +314,7 @@ fn each_stop_and_halt_reaches_the_machine() {
     for count in 1..4 {
         track.act(|queue, now, events| queue.halt(now, "test", events));
         assert_eq!(track.queue.machine().halts, 2 * count - 1);
-        track.act(|queue, now, events| queue.stop(now, "test", events));
+        track.act(|queue, now, events| queue.stop(now, "test", ErrorName::Stopped, events));
         assert_eq!(track.queue.machine().halts, 2 * count);
     }
     assert!(
@@ -330,7 +330,7 @@ fn old_news_does_not_say_that_it_rests() {
     let heard = track.now;
     track.act(|queue, now, events| queue.note(now, |cart| cart.heard = Some(heard), events));
     track.pass(10_000);
-    track.act(|queue, now, events| queue.stop(now, "smoke", events));
+    track.act(|queue, now, events| queue.stop(now, "smoke", ErrorName::Stopped, events));
     assert_eq!(track.queue.state().rest, None, "it was heard ten seconds ago");
     track.pass(1_000);
     assert_eq!(track.queue.state().rest, None);
@@ -434,7 +434,7 @@ fn what_was_measured_while_the_program_stood_still_is_not_new() {
     let mut track = Track::of(true, true);
     track.go("alice", 1).expect("taken");
     track.pass(500);
-    track.act(|queue, now, events| queue.stop(now, "a test", events));
+    track.act(|queue, now, events| queue.stop(now, "a test", ErrorName::Stopped, events));
     while track.queue.machine().speed != 0.0 {
         track.pass(1);
     }

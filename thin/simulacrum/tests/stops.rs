@@ -211,7 +211,8 @@ impl Rig {
 
     fn stop(&mut self) {
         let time = self.time();
-        self.queue.stop(time, "a test", &mut self.events);
+        self.queue
+            .stop(time, "a test", ErrorName::Stopped, &mut self.events);
     }
 
     fn halt(&mut self) {

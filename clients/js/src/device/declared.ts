@@ -11,6 +11,9 @@ import type { Spec } from "./spec.js";
 /** µs that a promise of `halt` may take beyond the stopping time. */
 const LATE = 1_000_000;
 
+/** µs by which a mechanism is kept alive sooner where its device is asked for something else just then. */
+const EARLY = 10_000;
+
 /** One call of a verb's function. */
 interface Running {
   readonly call: Call;
@@ -324,7 +327,7 @@ export class DeclaredMachine extends Machine<Call> {
   override advance(now: number): void {
     this.#now = Math.max(this.#now, now);
     this.#look();
-    if (this.isDriven() && this.#now - this.#keptAt >= LOOK) {
+    if (this.isDriven() && this.#now - this.#keptAt >= LOOK - EARLY) {
       this.#keptAt = this.#now;
       this.#known("keepAlive", () => this.spec.keepAlive?.());
     }
@@ -370,7 +373,7 @@ export class DeclaredMachine extends Machine<Call> {
     this.#known("estop", () => {
       const pressed: unknown = atOnce(this.spec.estop!());
       // An input may say so by a number; what says nothing is not taken for a button that is not pressed.
-      if (typeof pressed !== "boolean" && typeof pressed !== "number") throw new TypeError("it gives neither true nor false");
+      if (typeof pressed !== "boolean" && !Number.isFinite(pressed)) throw new TypeError("it gives neither true nor false");
       this.#isPressed = Boolean(pressed);
     });
     return this.#isPressed ?? true;

@@ -1,6 +1,6 @@
 // The queue: a state machine that takes commands and the time, and emits events.
 import { type Command, type Order, type QueueEvent, type State, progressOf } from "./commands.js";
-import { DeviceError, deviceErrorOf } from "./errors.js";
+import { DeviceError, type DeviceErrorName, deviceErrorOf } from "./errors.js";
 import type { Machine } from "./machine.js";
 import { type AtRest, REST, Rest } from "./rest.js";
 import { MAX_ATTACHED, type Script } from "./script.js";
@@ -93,6 +93,11 @@ export class CommandQueue<A> {
   /** Whether its position may change meanwhile: what is not reached tells nothing new. */
   get #isLively(): boolean {
     return this.machine.isReached() && (this.machine.isMoving() || this.machine.isChanging() || this.#halting || this.#rolls);
+  }
+
+  /** The latest time that was given. */
+  get now(): number {
+    return this.#now;
   }
 
   /** Whether a command is being carried out or waits, so that the device may be elsewhere soon. */
@@ -211,12 +216,12 @@ export class CommandQueue<A> {
   }
 
   /** Stands, drops every command with the error `stopped`, and takes none until {@link unstop}. */
-  stop(now: number, reason: string, events: QueueEvent[]): void {
+  stop(now: number, reason: string, events: QueueEvent[], name: DeviceErrorName = "stopped"): void {
     this.advance(now, events);
     this.#doubtOldNews();
     if (this.#stopped) return this.#haltMachine();
     this.#stopped = true;
-    const error = new DeviceError("stopped", `${this.machine.name} was stopped: ${reason}`);
+    const error = new DeviceError(name, `${this.machine.name} was stopped: ${reason}`);
     this.#end(error, error, events);
   }
 

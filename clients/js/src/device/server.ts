@@ -3,7 +3,8 @@ import { type Delivery, type Event, type GuardState, type Held, Latch, type Mess
 import { fieldsOf } from "../index.js";
 import type { Fields, Value } from "../value.js";
 import type { Order, Progress, QueueEvent, State } from "./commands.js";
-import { DeviceError, defined, deviceErrorOf } from "./errors.js";
+import { DeviceError, type DeviceErrorName, defined, deviceErrorOf } from "./errors.js";
+import { Estop } from "./estop.js";
 import type { Machine } from "./machine.js";
 import { type DeviceAge, NEXT, Pull } from "./pull.js";
 import { CommandQueue } from "./queue.js";
@@ -72,8 +73,7 @@ export class DeviceServer<A> {
   #commanded = 0;
   /** Whether its owner has given the token away, and nobody has it yet. */
   #handingOver = false;
-  /** Whether the emergency stop at the device itself was pressed when that was looked at last. */
-  #isPressed = false;
+  readonly #estop = new Estop();
   readonly #pull: Pull | undefined;
   readonly #pace: number;
   /** What it is called at the hub, so that it can stop itself there. */
@@ -97,11 +97,12 @@ export class DeviceServer<A> {
 
   /** Why the device may not move, if it may not. */
   mayMove(): Held | null {
+    if (this.#estop.owed !== undefined) return { held: "own", text: `stopped by itself: ${this.#estop.owed}` };
     return this.#latch.mayMove() ?? (this.held === undefined ? null : { held: "unknown", text: this.held });
   }
 
   get isStopped(): boolean {
-    return this.#latch.isStopped;
+    return this.#latch.isStopped || this.#estop.owed !== undefined;
   }
 
   /** How it stands. */
@@ -119,6 +120,7 @@ export class DeviceServer<A> {
     this.advance(now, out);
     this.#watchGuard(gate, now, out);
     const turn = event.type === "link-resumed" ? undefined : this.#latch.observe(event);
+    this.#estop.hear(event, this.name);
     if (turn) this.#react(event, turn, now, out);
     switch (event.type) {
       case "message":
@@ -135,7 +137,8 @@ export class DeviceServer<A> {
       case "rejoined":
       case "link-resumed":
         this.report(out);
-        return this.#tellOwnStop(out);
+        this.#tellOwnStop(out);
+        return this.#tellEstop(out);
       case "expelled":
         if (event.peer === this.name) this.halt(`this device was put out of its channel: ${event.text ?? "nobody says why"}`, now, out);
         return;
@@ -170,6 +173,7 @@ export class DeviceServer<A> {
 
   /** Tells all members of the channel the state. */
   report(out: Parcel[]): void {
+    this.#watchEstop(this.#queue.now, out);
     out.push(this.#fullState());
   }
 
@@ -233,7 +237,7 @@ export class DeviceServer<A> {
     if (order.id !== undefined && this.#queue.orders().some((other) => isSame(other, order))) {
       throw new DeviceError("duplicate-id", `command ${order.id} of ${order.peer} is still waiting or executing; choose another id`);
     }
-    if (this.#isPressed) throw new DeviceError("estop", `the emergency stop of ${machine.name} is pressed: reset it there, and then lift the stop`);
+    if (this.#estop.isPressed) throw new DeviceError("estop", `the emergency stop of ${machine.name} is pressed: reset it there, and then lift the stop`);
     this.#queue.checkFree();
     const held = this.mayMove();
     if (held) throw new DeviceError("stopped", `${machine.name} may not move: ${held.text}`);
@@ -271,6 +275,8 @@ export class DeviceServer<A> {
   /** Does what an event about stops means. */
   #react(event: DeviceEvent | undefined, turn: Turn, now: number, out: Parcel[]): void {
     if (turn.turn === "stop") this.#obeyStop(out, (events) => this.#queue.stop(now, turn.why, events));
+    // It was said before the stop that the hub does not know yet.
+    else if (turn.turn === "free" && this.#estop.owed !== undefined) this.report(out);
     else if (turn.turn === "free") this.#obeyStop(out, (events) => this.#queue.unstop(now, events));
     else if (turn.turn === "same") this.report(out);
     else if (event?.type === "link-down") this.halt("the link to the hub was lost", now, out);
@@ -279,24 +285,35 @@ export class DeviceServer<A> {
   }
 
   /**
-   * Looks at the emergency stop of the device itself. It is a stop of its own when it is pressed, and again when it is reset and an
-   * `unstop` has come meanwhile: who resets it does not set the device in motion, nor does a velocity that is still being sent.
+   * Looks at the emergency stop of the device itself. Each press and each reset is a stop of its own: who resets it does not set the device
+   * in motion, nor does a velocity that is still being sent, nor an `unstop` that was said before.
    */
   #watchEstop(now: number, out: Parcel[]): void {
-    const isPressed = this.machine.estop() === true;
-    if (isPressed === this.#isPressed) return;
-    this.#isPressed = isPressed;
-    if (!isPressed && this.#latch.isStopped) return this.report(out);
-    const turn = this.#latch.stopItself(`its emergency stop was ${isPressed ? "pressed" : "reset"}`);
-    this.#react(undefined, turn, now, out);
-    this.#tellOwnStop(out);
+    const why = this.#estop.look(this.machine.estop());
+    if (why === undefined) return;
+    const name: DeviceErrorName = this.#estop.isPressed ? "estop" : "stopped";
+    this.#obeyStop(out, (events) => this.#queue.stop(now, why, events, name));
+    this.#tellEstop(out);
+  }
+
+  /** Tells the hub that its emergency stop was pressed or reset, as long as the hub does not know. */
+  #tellEstop(out: Parcel[]): void {
+    const why = this.#estop.toSay();
+    if (why === undefined || this.name === undefined) return;
+    const id = this.#states.next(false);
+    this.#estop.said(id);
+    out.push({ ...this.#ownStop(`stopped by itself: ${why}`, this.name), id });
   }
 
   /** Tells the hub that it has stopped itself, if the hub does not know: from then on it is a stop like any other. */
   #tellOwnStop(out: Parcel[]): void {
     if (this.name === undefined || !this.#latch.isOwn) return;
-    const content = { reason: this.#latch.mayMove()?.text ?? "" };
-    out.push({ family: "message", name: "stop", context: this.channel, content, address: [this.name] });
+    out.push(this.#ownStop(this.#latch.mayMove()?.text ?? "", this.name));
+  }
+
+  /** A stop that it says to itself. */
+  #ownStop(reason: string, name: string): Parcel {
+    return { family: "message", name: "stop", context: this.channel, content: { reason }, address: [name] };
   }
 
   /** Stops, or does so no more, and says how the device stands, changed or not. */
@@ -376,9 +393,8 @@ export class DeviceServer<A> {
     const { order, statement, of } = executing ?? {};
     const carriedOut = order && defined({ id: order.id, peer: order.peer, statement, of });
     // What the author says overwrites none of these.
-    // As it was heeded: who is told that it is pressed is told too that the device is stopped.
-    const estop = this.machine.estop() === undefined ? undefined : this.#isPressed;
-    const told = { seq, moving, rest, reached, stopped, estop, stop: this.#latch.number, executing: carriedOut, waiting, fence: this.#fence || undefined, [STOPS_WITHIN]: undefined };
+    const { known: estop, owed } = this.#estop;
+    const told = { seq, moving, rest, reached, stopped: stopped || owed !== undefined, estop, stop: this.#latch.number, executing: carriedOut, waiting, fence: this.#fence || undefined, [STOPS_WITHIN]: undefined };
     const moved = !this.#told || !isSame(this.#told, position);
     if (moved) this.#told = position;
     const delivery: Delivery = "latest";

@@ -30,8 +30,9 @@ export interface Spec {
   /** What else its state tells. */
   report?(): Fields;
   /**
-   * Whether an emergency stop at the device itself is pressed, such as a button on it or its pendant. It is asked each 150 ms. While it is
-   * pressed nothing is carried out, and when it was reset nothing either until an `unstop`. What it throws ends the device.
+   * Whether an emergency stop at the device itself is pressed, such as a button on it or its pendant. It is asked at each turn, each 150 ms
+   * at the latest, and must not block. While it is pressed nothing is carried out, and when it was reset nothing either until an `unstop`
+   * that was said after that. What it throws ends the device.
    */
   estop?(): boolean;
   /**

@@ -517,10 +517,12 @@ fn one_that_turns_is_not_said_to_rest_however_often_it_is_halted() {
         pair.pass(1_500 * MS);
         pair.command("motor 1000 -1000 3000").expect("it can");
         pair.pass(2_300 * MS);
-        pair.queue.stop(pair.now, "a test", &mut pair.events);
+        pair.queue
+            .stop(pair.now, "a test", ErrorName::Stopped, &mut pair.events);
         pair.pump();
         pair.pass(pair.now + between * MS);
-        pair.queue.stop(pair.now, "a test", &mut pair.events);
+        pair.queue
+            .stop(pair.now, "a test", ErrorName::Stopped, &mut pair.events);
         pair.pump();
         let (stopped, mut headings) = (pair.now, VecDeque::new());
         while pair.queue.state().rest.is_none() {

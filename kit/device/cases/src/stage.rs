@@ -1,5 +1,6 @@
 //! The stage of a dialogue: a device's server, with a clock and a gate that its lines move.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use mom_client::{
@@ -40,6 +41,10 @@ pub struct Stage<M: Machine> {
     pub fence: Option<i64>,
     /// The newest state that was told.
     said: Map,
+    /// What it is called.
+    name: String,
+    /// The ids of the stops that it has said, and that have not come back.
+    stops: VecDeque<Option<u64>>,
 }
 
 impl<M: Machine> Stage<M> {
@@ -62,6 +67,8 @@ impl<M: Machine> Stage<M> {
             states: Vec::new(),
             fence: None,
             said: Map::new(),
+            name: String::new(),
+            stops: VecDeque::new(),
         }
     }
 
@@ -249,7 +256,10 @@ impl<M: Machine> Stage<M> {
                 let max_age = Duration::from_millis(ms.parse().unwrap());
                 self.set(|server| server.with_max_age(max_age));
             }
-            ["name", name] => self.server().set_name(name.to_owned()),
+            ["name", name] => {
+                name.clone_into(&mut self.name);
+                self.server().set_name(name.to_owned());
+            }
             ["age", ms] => self.age = ms.parse().ok(),
             ["after", ms] => self.pass(ms.parse().unwrap()),
             // The driver had no turn meanwhile.
@@ -337,7 +347,11 @@ impl<M: Machine> Stage<M> {
             ["down"] => self.tell(&Event::LinkDown),
             ["told", number] => self.told(number, false),
             ["told", number, "stopped"] => self.told(number, true),
-            ["rejoined"] => self.tell(&Event::Rejoined),
+            ["rejoined"] => {
+                // What it had said before does not come back.
+                self.stops.clear();
+                self.tell(&Event::Rejoined);
+            }
             ["resumed"] => self.tell(&Event::Resumed),
             ["lagged"] => self.tell(&Event::Lagged(3)),
             ["count"] => self.tell(&Event::Count(300)),
@@ -372,6 +386,9 @@ impl<M: Machine> Stage<M> {
             [sender, name] => self.tell(&Event::Message(said(sender, name))),
             [sender, name, number] => {
                 let mut parcel = said(sender, name);
+                if name == "stop" && *sender == self.name {
+                    parcel.id = self.stops.pop_front().flatten();
+                }
                 parcel.extra.set("stop", number.parse::<i64>().unwrap());
                 self.tell(&Event::Message(parcel));
             }
@@ -435,6 +452,9 @@ impl<M: Machine> Stage<M> {
                     self.states.push(id);
                 }
                 self.said = parcel.value().as_map().cloned().unwrap();
+            }
+            if parcel.name() == "stop" {
+                self.stops.push_back(parcel.id);
             }
             let Some(mut line) = line_of(&parcel) else {
                 continue;

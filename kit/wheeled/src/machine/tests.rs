@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use mom_client::Value;
-use mom_device::{Command, CommandQueue, Order, QueueEvent};
+use mom_device::{Command, CommandQueue, ErrorName, Order, QueueEvent};
 use mom_wheels::{Floor, Pose, Power, Simulated};
 
 use super::*;
@@ -332,7 +332,11 @@ fn a_stop_that_the_driver_refuses_is_given_again_and_not_done_before() {
     type Stop = fn(&mut Stage);
     let stops: [Stop; 3] = [
         |stage| stage.queue.halt(stage.now, "a test", &mut stage.events),
-        |stage| stage.queue.stop(stage.now, "a test", &mut stage.events),
+        |stage| {
+            stage
+                .queue
+                .stop(stage.now, "a test", ErrorName::Stopped, &mut stage.events)
+        },
         // The end of a statement.
         |stage| stage.pass(1001 * MS),
     ];
@@ -384,7 +388,9 @@ fn a_halt_at_rest_reaches_the_driver_too() {
     assert_eq!(given.load(Ordering::Relaxed), 2);
     assert!(!stage.queue.state().moving, "it has taken it");
     refuses.store(1, Ordering::Relaxed);
-    stage.queue.stop(stage.now, "a test", &mut stage.events);
+    stage
+        .queue
+        .stop(stage.now, "a test", ErrorName::Stopped, &mut stage.events);
     assert!(stage.queue.state().moving, "nobody knows that it stands");
     stage.pass(stage.now + 50 * MS);
     assert_eq!(given.load(Ordering::Relaxed), 4);

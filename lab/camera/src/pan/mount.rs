@@ -272,7 +272,7 @@ mod tests {
                 match &deed {
                     Deed::Submit(script) => taken += usize::from(mount.submit(command(script), now, &mut events).is_ok()),
                     Deed::Halt => mount.halt(now, "a test", &mut events),
-                    Deed::Stop => mount.stop(now, "a test", &mut events),
+                    Deed::Stop => mount.stop(now, "a test", ErrorName::Stopped, &mut events),
                     Deed::Unstop => mount.unstop(now, &mut events),
                     Deed::Nothing => mount.advance(now, &mut events),
                 }

@@ -32,6 +32,9 @@ _LOOK = 150_000
 """µs between two looks at a device that rests."""
 
 
+_EARLY = 10_000
+"""µs by which a mechanism is kept alive sooner where its device is asked for something else just then."""
+
 _TURNS = 10
 """Turns of the loop in which what has come is heard, from the connection to the device."""
 
@@ -88,6 +91,8 @@ class DeclaredMachine(Machine):
         self._now, self._blocked = 0, 0
         self._stood = 0
         """When it was halted last because a verb that was halted has not come to its end."""
+        self._has_estop = False
+        """Whether it has told of an emergency stop."""
         self._kept = 0
         """When its mechanism was kept alive last."""
         self._seen: Optional[Sample] = None
@@ -359,7 +364,7 @@ class DeclaredMachine(Machine):
             # What takes steps that it waits for nobody can see.
             self._stood = now
             self._stand()
-        if (self.is_driven() or self._leaves) and now - self._kept >= self.period:
+        if (self.is_driven() or self._leaves) and now - self._kept >= self.period - _EARLY:
             self._kept = now
             self.device.keep_alive()
         sample = self.measured(now)
@@ -400,8 +405,14 @@ class DeclaredMachine(Machine):
 
     def estop(self) -> Optional[bool]:
         """Whether the device says that its emergency stop is pressed: an input may say so by a number."""
-        pressed = self.device.estop()
-        return None if pressed is None else bool(pressed)
+        pressed: Any = self.device.estop()
+        if pressed is None and not self._has_estop:
+            return None
+        # What says nothing is not taken for a button that is not pressed.
+        if not isinstance(pressed, (bool, int)) and type(pressed).__module__ != "numpy":
+            raise TypeError(f"the `estop` of {self.name} has to give True or False, and gave {pressed!r}")
+        self._has_estop = True
+        return bool(pressed)
 
     def position(self) -> Mapping[str, Any]:
         """Where the device says that it is."""

@@ -106,7 +106,8 @@ class Device:
     def estop(self) -> Optional[bool]:
         """Whether an emergency stop at the device itself is pressed, such as a button on it or its pendant; `None` if it knows of none.
 
-        It is asked each 150 ms. While it is pressed nothing is carried out, and when it was reset nothing either until an `unstop`.
+        It is asked at each turn, each 150 ms at the latest, and must not block. While it is pressed nothing is carried out, and when it was
+        reset nothing either until an `unstop` that was said after that. What knows of one says so from the first.
         """
         return None
 

@@ -89,7 +89,7 @@ class DevicePeer:
         """Why it may not move; `None` if it may."""
         if self.is_over:
             return Held("unknown", self._over)
-        return self._server.latch.may_move() or self._why_not()
+        return self._server.may_move() or self._why_not()
 
     @property
     def is_over(self) -> bool:
@@ -99,7 +99,7 @@ class DevicePeer:
     @property
     def is_stopped(self) -> bool:
         """Whether a stop holds."""
-        return self._server.latch.is_stopped
+        return self._server.latch.is_stopped or self._server.estop.owed is not None
 
     @property
     def state(self) -> State:
@@ -239,6 +239,7 @@ class DevicePeer:
             return
         LOG.error("%s: the device has failed, and obeys nothing any more", self.channel.path, exc_info=error)
         self._failure = error
+        self._outlet.push(self._server.break_off(DeviceError("link", f"{self._machine.name} has failed: {type(error).__name__}: {error}")))
         self._take_leave()
         self._machine.give_up()
         self._events.close()
@@ -266,4 +267,4 @@ class DevicePeer:
 
     def _is_wanted(self, parcel: Parcel) -> bool:
         """Whether something is still to be said: a stop of its own is not, where the one that it may have missed has come meanwhile."""
-        return parcel.name != "stop" or self._server.latch.is_own
+        return parcel.name != "stop" or self._server.latch.is_own or self._server.estop.owed is not None

@@ -7,7 +7,7 @@ from copy import copy
 from dataclasses import dataclass
 from typing import Callable, Deque, Generic, Iterator, List, Optional, TypeVar
 
-from .command import Command, Order, QueueEvent, State, Told
+from .command import Command, Order, Progress, QueueEvent, State, Told
 from .errors import DeviceError
 from .machine import Machine
 from .rest import REST, Rest
@@ -213,16 +213,23 @@ class CommandQueue(Generic[M]):
         self.advance(now, events)
         self._end(error, error, events)
 
-    def stop(self, now: int, reason: str, events: List[QueueEvent]) -> None:
-        """Stands, drops every command with the error `stopped`, and takes none until `unstop`."""
+    def stop(self, now: int, reason: str, events: List[QueueEvent], name: str = "stopped") -> None:
+        """Stands, drops every command with this error, `stopped` or `estop`, and takes none until `unstop`."""
         self.advance(now, events)
         self._doubt_old_news()
         if not self._stopped:
             self._stopped = True
-            error = DeviceError("stopped", f"{self.machine.name} was stopped: {reason}")
+            error = DeviceError(name, f"{self.machine.name} was stopped: {reason}")
             self._end(error, error, events)
         else:
             self._halt_machine()
+
+    def drop_all(self) -> List[Progress]:
+        """Drops every command, and asks the machine nothing: it has failed. How far each had come."""
+        active, self._active = self._active, None
+        waiting, self._waiting = list(self._waiting), deque()
+        begun = [] if active is None else [active.command.progress(active.begun)]
+        return begun + [command.progress(0) for command in waiting]
 
     def unstop(self, now: int, events: List[QueueEvent]) -> None:
         """Takes commands again. Nothing moves by itself: the old commands are gone."""

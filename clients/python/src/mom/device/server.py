@@ -15,6 +15,7 @@ from ..latch import Held, Latch, Reaction
 from ..parcel import Parcel
 from .command import Command, Order, Progress, QueueEvent, State
 from .errors import DeviceError
+from .estop import Estop
 from .fresh import BASED_ON, Freshness, Pull, RefusedCommandError, StateGate
 from .queue import CommandQueue, M
 from .script import Attachments, read_script
@@ -78,8 +79,8 @@ class DeviceServer(Generic[M]):
         self._pull: Optional[Pull] = None
         self._handing_over = False
         """Whether its owner has given the token away, and nobody has it yet."""
-        self._is_pressed = False
-        """Whether the emergency stop at the device itself was pressed when that was looked at last."""
+        self.estop = Estop()
+        """The emergency stop at the device itself."""
         self._fresh = Freshness()
         self._out: List[Parcel] = []
 
@@ -121,7 +122,8 @@ class DeviceServer(Generic[M]):
 
     def may_move(self) -> Optional[Held]:
         """Why it may not move; `None` if it may."""
-        return self.latch.may_move() or self.held
+        own = None if self.estop.owed is None else Held("own", f"stopped by itself: {self.estop.owed}")
+        return own or self.latch.may_move() or self.held
 
     # What happens to it.
 
@@ -130,6 +132,7 @@ class DeviceServer(Generic[M]):
         self._advance(now)
         self._watch_guard(gate, now)
         reaction = self.latch.observe(event)
+        self.estop.hear(event, self.name, isinstance(event, Resumed))
         if reaction is not None:
             self._react(event, reaction, now)
         if isinstance(event, Message):
@@ -142,6 +145,7 @@ class DeviceServer(Generic[M]):
         elif isinstance(event, (Rejoined, Resumed)):
             self._report()
             self._tell_own_stop()
+            self._tell_estop()
         elif isinstance(event, Expelled) and event.peer == self.name:
             self._halt(f"this device was put out of its channel: {event.text or 'nobody says why'}", now)
         elif isinstance(event, Grabbed):
@@ -159,6 +163,12 @@ class DeviceServer(Generic[M]):
     def note(self, now: int, what: Callable[[M], None]) -> List[Parcel]:
         """Lets something be done to the device that no command does, such as that news of it have come."""
         self._act(lambda events: self._queue.note(now, what, events))
+        return self._said()
+
+    def break_off(self, error: DeviceError) -> List[Parcel]:
+        """Ends every command with this error, where the device itself can be asked nothing any more."""
+        for progress in self._queue.drop_all():
+            self._out.append(self._status(progress, "error", error.content()))
         return self._said()
 
     def fail(self, now: int, error: DeviceError) -> List[Parcel]:
@@ -180,6 +190,7 @@ class DeviceServer(Generic[M]):
 
     def report(self) -> List[Parcel]:
         """Tells all members of the channel the state."""
+        self._watch_estop(self._queue.now)
         self._report()
         return self._said()
 
@@ -242,7 +253,7 @@ class DeviceServer(Generic[M]):
         if order.id is not None and any(other == order for other in queue.orders()):
             text = f"command {order.id} of {order.peer} is still waiting or executing; choose another id"
             raise DeviceError("duplicate-id", text)
-        if self._is_pressed:
+        if self.estop.is_pressed:
             raise DeviceError("estop", f"the emergency stop of {name} is pressed: reset it there, and then lift the stop")
         queue.check_free()
         held = self.may_move()
@@ -267,6 +278,9 @@ class DeviceServer(Generic[M]):
         queue = self._queue
         if reaction.word == "stop":
             self._obey_stop(lambda events: queue.stop(now, reaction.why, events))
+        elif reaction.word == "free" and self.estop.owed is not None:
+            # It was said before the stop that the hub does not know yet.
+            self._report()
         elif reaction.word == "free":
             self._obey_stop(lambda events: queue.unstop(now, events))
         elif reaction.word == "same":
@@ -287,19 +301,24 @@ class DeviceServer(Generic[M]):
     def _watch_estop(self, now: int) -> None:
         """Looks at the emergency stop of the device itself.
 
-        It is a stop of its own when it is pressed, and again when it is reset and an `unstop` has come meanwhile: a person who resets it
-        does not set the device in motion, nor does a velocity that is still being sent.
+        Each press and each reset is a stop of its own: a person who resets it does not set the device in motion, nor does a velocity that
+        is still being sent, nor an `unstop` that was said before.
         """
-        is_pressed = bool(self.machine.estop())
-        if is_pressed == self._is_pressed:
+        why = self.estop.look(self.machine.estop())
+        if why is None:
             return
-        self._is_pressed = is_pressed
-        if not is_pressed and self.latch.is_stopped:
-            self._report()
-            return
-        why = f"its emergency stop was {'pressed' if is_pressed else 'reset'}"
-        self._obey_stop(lambda events: self._queue.stop(now, self.latch.stop_itself(why).why, events))
-        self._tell_own_stop()
+        name = "estop" if self.estop.is_pressed else "stopped"
+        self._obey_stop(lambda events: self._queue.stop(now, why, events, name))
+        self._tell_estop()
+
+    def _tell_estop(self) -> None:
+        """Tells the hub that its emergency stop was pressed or reset, as long as the hub does not know."""
+        why = self.estop.to_say()
+        if why is not None and self.name is not None:
+            stop = Parcel("message", "stop", self._channel, {"reason": f"stopped by itself: {why}"}, address=[self.name])
+            self._states.stamp(stop, False)
+            self.estop.said(stop.id)
+            self._out.append(stop)
 
     def _tell_own_stop(self) -> None:
         """Tells the hub that it has stopped itself, if the hub does not know: from then on it is a stop like any other."""
@@ -413,10 +432,10 @@ class DeviceServer(Generic[M]):
         content["moving"] = state.moving
         if state.rest is not None:
             content["rest"] = state.rest
-        content.update({"reached": state.reached, "stopped": state.stopped, "stop": self.latch.number})
-        # As it was heeded: who is told that it is pressed is told too that the device is stopped.
-        if self.machine.estop() is not None:
-            content["estop"] = self._is_pressed
+        stopped = state.stopped or self.estop.owed is not None
+        content.update({"reached": state.reached, "stopped": stopped, "stop": self.latch.number})
+        if self.estop.known is not None:
+            content["estop"] = self.estop.known
         if state.executing is not None:
             progress = state.executing
             content["executing"] = {
