@@ -24,6 +24,9 @@ const LAST: Duration = mom_drive::HALTED
     .saturating_add(REPEATED.saturating_mul(TIMES))
     .saturating_add(Duration::from_secs(1));
 
+/// Letters of what an agent says that are shown.
+const TEXT: usize = 500;
+
 /// What an agent is hired for, and under which terms.
 pub struct Hire<'a> {
     /// The agent's channel.
@@ -70,7 +73,8 @@ impl Report {
     }
 
     fn text(&self) -> String {
-        visible(self.word("text").unwrap_or_default())
+        let text: String = self.word("text").unwrap_or_default().chars().take(TEXT).collect();
+        visible(&text)
     }
 
     /// Whether nothing follows.
@@ -106,7 +110,7 @@ impl Hire<'_> {
         let events = agent.events();
         let what = format!("ask the agent in {} to {}", self.channel, self.words);
         let asked = tokio::select! {
-            asked = agent.ask(self.verb, self.task.clone(), &what) => asked,
+            asked = agent.ask(self.verb, self.task.clone(), &what) => asked.map_err(|failure| self.unanswered(failure)),
             lost = lost(&mut holding) => return Err(VerbFailure::plain(lost_words(self.token, &lost))),
             () = &mut interrupt => {
                 cancel(&agent).await;
@@ -148,6 +152,17 @@ impl Hire<'_> {
             format!("the agent is not in {}", self.channel),
             self.absent,
         ))
+    }
+
+    /// Of an agent that does not answer: it may not know what it is asked for.
+    fn unanswered(&self, failure: VerbFailure) -> VerbFailure {
+        match failure.to_string().starts_with("no device answers") {
+            true => VerbFailure::new(
+                format!("nobody in {} answers to `{}`", self.channel, self.verb),
+                "ask its author what it can be hired for; look at what it says: mom watch and its channel",
+            ),
+            false => failure,
+        }
     }
 
     /// Gives the token to the agent that has accepted the task.
@@ -219,7 +234,7 @@ impl Loan<'_, '_> {
         mut given: Given,
         mut interrupt: Pin<&mut impl Future<Output = ()>>,
     ) -> Result<(), VerbFailure> {
-        let mut interrupted = None;
+        let (mut interrupted, lent) = (None, Instant::now());
         let agent = self.agent;
         let mut unanswered: Pin<Box<dyn Future<Output = ()> + Send + '_>> = Box::pin(std::future::pending());
         let accepted = tokio::select! {
@@ -257,14 +272,16 @@ impl Loan<'_, '_> {
             }
         };
         self.hear_last().await?;
-        let verdict = self.verdict().map_err(|failure| match &stopped {
-            None => failure,
-            Some(_) => {
-                let stop = self.stop_words(&stopped);
-                let words = format!("{failure}; {stop}, as the agent did not answer");
-                VerbFailure::new(words, format!("let it go with: mom unstop {}", self.hire.robot))
-            }
-        });
+        let verdict = self
+            .verdict(lent.elapsed() >= self.hire.time)
+            .map_err(|failure| match &stopped {
+                None => failure,
+                Some(_) => {
+                    let stop = self.stop_words(&stopped);
+                    let words = format!("{failure}; {stop}, as the agent did not answer");
+                    VerbFailure::new(words, format!("let it go with: mom unstop {}", self.hire.robot))
+                }
+            });
         match end {
             Ok(guard) => both(verdict, release(Some(guard)).await),
             Err(lost) => {
@@ -380,8 +397,8 @@ impl Loan<'_, '_> {
         }
     }
 
-    /// What came of it, the token being back.
-    fn verdict(&self) -> Result<(), VerbFailure> {
+    /// What came of it, the token being back; `is_used_up`: the scope's time is over.
+    fn verdict(&self, is_used_up: bool) -> Result<(), VerbFailure> {
         match self.last.as_ref().filter(|report| report.is_last()) {
             Some(report) if report.state() == "done" => Ok(()),
             Some(report) => Err(VerbFailure::plain(format!(
@@ -394,8 +411,12 @@ impl Loan<'_, '_> {
                     Some(count) => format!("{time} or {count} commands"),
                     None => time,
                 };
+                let why = match is_used_up || self.hire.commands.is_some() {
+                    true => format!("the agent has given the token back, or its scope is used up ({scope})"),
+                    false => "the agent has given the token back".to_owned(),
+                };
                 Err(VerbFailure::plain(format!(
-                    "the scope is used up ({scope}) and the agent says nothing; {}; the token is released",
+                    "{why}, and it does not say how the task ended; {}; the token is released",
                     self.whereabouts()
                 )))
             }

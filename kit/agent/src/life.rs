@@ -5,10 +5,10 @@ use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 
-use mom_client::{Channel, Client, ClientError, Code, Event, LinkState, Parcel, WireError};
+use mom_client::{Channel, Client, ClientError, Code, Event, LinkState, Parcel, Value, WireError};
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
-use tokio::time::{Instant, timeout};
+use tokio::time::{Instant, sleep_until, timeout};
 
 use crate::Trade;
 use crate::hired::{Ended, Hired, refuse};
@@ -16,12 +16,20 @@ use crate::hired::{Ended, Hired, refuse};
 /// How long a task may take to end when the agent does.
 const LAST: Duration = Duration::from_secs(2);
 
+/// How long the peer of a task may be away, as its connection is lost, before the task ends.
+const AWAY: Duration = Duration::from_secs(5);
+
+/// How long finding out whether a task can be done may take: who asks waits no longer for an answer.
+const MET: Duration = Duration::from_secs(9);
+
 /// The task under way.
 struct Job<T> {
     hired: Hired<T>,
     cancel: watch::Sender<Option<String>>,
     /// How it ended; none if it was refused.
     work: JoinHandle<Option<Ended>>,
+    /// When it ends, as the connection of its peer is lost.
+    ends: Option<Instant>,
 }
 
 /// Runs an agent in its channel until `shutdown` is done; a task under way is cancelled then, and the token returned.
@@ -41,19 +49,20 @@ pub async fn run<T: Trade>(
     let mut job: Option<Job<T::Task>> = None;
     tracing::info!(peer = client.name(), channel = %channel.path(), "the agent is ready");
     loop {
+        let absent = job
+            .as_ref()
+            .and_then(|job| Some((job.ends?, job.hired.peer.clone())));
         tokio::select! {
             () = &mut shutdown => break,
+            peer = away(absent) => end_of(&mut job, &peer, "has lost its connection"),
             // It takes the next one when it says that this has ended.
             (hired, ended) = ended(&mut job) => if let Some(ended) = ended {
                 hired.tell_end(ended).await;
             },
             event = events.next() => match event {
                 Some(Event::Message(parcel)) => hear(&client, &channel, &trade, &mut job, &parcel).await,
-                Some(Event::Left(member)) => {
-                    if let Some(job) = job.as_ref().filter(|job| job.hired.peer == member.peer) {
-                        job.cancel.send_replace(Some(format!("{} has left", member.peer)));
-                    }
-                }
+                Some(Event::Left(member)) => end_of(&mut job, &member.peer, "has left"),
+                Some(Event::Other(parcel)) => note_link(&mut job, &parcel),
                 Some(Event::Lagged(count)) => tracing::warn!(count, "messages were lost"),
                 Some(_) => {}
                 None => return Err(closed(&client)),
@@ -71,6 +80,39 @@ pub async fn run<T: Trade>(
     }
     client.close().await;
     Ok(())
+}
+
+/// Has the task end if it is this peer's.
+fn end_of<T>(job: &mut Option<Job<T>>, peer: &str, why: &str) {
+    if let Some(job) = job.as_mut().filter(|job| job.hired.peer == peer) {
+        job.ends = None;
+        job.cancel.send_replace(Some(format!("{peer} {why}")));
+    }
+}
+
+/// Takes in that the connection of the task's peer is lost, or back.
+fn note_link<T>(job: &mut Option<Job<T>>, parcel: &Parcel) {
+    let content = parcel.value();
+    let peer = content.get("peer").and_then(Value::as_str);
+    let Some(job) = job.as_mut().filter(|job| peer == Some(&*job.hired.peer)) else {
+        return;
+    };
+    match parcel.name() {
+        "lost" => job.ends = Some(Instant::now() + AWAY),
+        "resumed" => job.ends = None,
+        _ => {}
+    }
+}
+
+/// Waits until the absent peer of a task is away for too long; gives its name.
+async fn away(absent: Option<(Instant, String)>) -> String {
+    match absent {
+        Some((ends, peer)) => {
+            sleep_until(ends).await;
+            peer
+        }
+        None => pending().await,
+    }
 }
 
 /// Waits for the end of the task, if there is one.
@@ -129,7 +171,12 @@ async fn hear<T: Trade>(
                 };
                 tracing::info!(peer = hired.peer, task = T::words(&hired.task), "a task");
                 let work = tokio::spawn(carry_out(Arc::clone(trade), hired.clone()));
-                *job = Some(Job { hired, cancel, work });
+                *job = Some(Job {
+                    hired,
+                    cancel,
+                    work,
+                    ends: None,
+                });
                 return;
             }
             Err(error) => error,
@@ -162,7 +209,10 @@ fn busy<T: Trade>(job: &Job<T::Task>) -> WireError {
 /// Carries a task out, or refuses it; how it ended.
 async fn carry_out<T: Trade>(trade: Arc<T>, hired: Hired<T::Task>) -> Option<Ended> {
     let met = tokio::select! {
-        met = trade.meet(&hired) => met,
+        met = timeout(MET, trade.meet(&hired)) => met.unwrap_or_else(|_| {
+            let text = format!("it could not be found out within {} s whether that can be done", MET.as_secs());
+            Err(WireError::new(Code::TRY_LATER, text))
+        }),
         why = hired.ends() => Err(WireError::new(Code::TRY_LATER, why)),
     };
     let (tools, token) = match met {

@@ -10,7 +10,7 @@ use mom_drive::{
 };
 use mom_program::work::wall;
 use tokio::runtime::{Handle, RuntimeFlavor};
-use tokio::task::block_in_place;
+use tokio::task::{block_in_place, yield_now};
 use tokio::time::{Instant, sleep};
 
 use super::report::Report;
@@ -101,6 +101,8 @@ impl Drive {
     /// Works until the blocks are aligned, and says how well.
     pub(super) async fn run(&mut self) -> Result<String, VerbFailure> {
         loop {
+            // Images and commands may be ready again and again: who cancels the task, or takes the token, is heard all the same.
+            yield_now().await;
             if let Some(seen) = self.links.seen.ready() {
                 self.see(seen);
             }
