@@ -12,6 +12,12 @@ const HUB = 500;
 const ANSWER = 10_000;
 /** ms in which work that is to end has to; then it is told that it does not. */
 const LAST = 5000;
+/** ms that finding out whether a task can be done may take: who asks waits no longer for an answer. */
+const MET = 9000;
+/** ms for which the peer of a task may be away, as its connection is lost, before the task ends. */
+const AWAY = 5000;
+/** The most letters of what is said of a task. */
+const TEXT = 2000;
 const CODES = { "try-later": 100, denied: 200, "bad-content": 223 } as const;
 
 /** Why an agent does not take a task: throw it in `read` or `meet`. */
@@ -101,6 +107,7 @@ export async function serve<W = Value | undefined>(client: Client, path: string,
 class Life<W> {
   #task: Task<W> | undefined;
   #working: Promise<void> | undefined;
+  #away: ReturnType<typeof setTimeout> | undefined;
 
   constructor(
     readonly client: Client,
@@ -110,7 +117,7 @@ class Life<W> {
 
   /** Hears what a peer asks for. */
   hear(event: Event): void {
-    if (event.type === "left" && event.member.peer === this.#task?.peer) this.#cancel(`${event.member.peer} has left`);
+    if ((event.type === "left" || event.type === "lost" || event.type === "resumed") && event.member.peer === this.#task?.peer) this.#notePeer(this.#task, event.type);
     if (event.type !== "message" || event.history) return;
     try {
       if (event.name === this.agent.verb) this.#take(event);
@@ -118,6 +125,13 @@ class Life<W> {
     } catch (error) {
       void this.#refuse(event, error as Refused);
     }
+  }
+
+  #notePeer(task: Task<W>, what: "left" | "lost" | "resumed"): void {
+    clearTimeout(this.#away);
+    const end = (why: string): void => task.end(new Ending({ state: "cancelled", text: `${task.peer} ${why}` }));
+    if (what === "left") end("has left");
+    else if (what === "lost") this.#away = setTimeout(() => end("has lost its connection"), AWAY);
   }
 
   #take(event: MessageEvent): void {
@@ -170,11 +184,16 @@ class Life<W> {
     }
     this.#task = undefined;
     if (end instanceof Refused) return this.#refuse(event, end);
-    await task.say("progress", { ...sayableOf(end.more ?? {}), by: task.peer, state: end.state, text: sayable(end.text) });
+    await task.say("progress", { ...sayableOf(end.more ?? {}), by: task.peer, state: end.state, text: sayable(end.text).slice(0, TEXT) });
   }
 
   async #ended(task: Task<W>): Promise<End> {
-    const token = await unlessEnded(task, this.#token(task)).catch((error: unknown) => {
+    const met = this.#token(task);
+    const late = within(MET, met).then((isMet) => {
+      if (!isMet) throw new Refused("try-later", `it could not be found out within ${MET / 1000} s whether that can be done`);
+      return met;
+    });
+    const token = await unlessEnded(task, late).catch((error: unknown) => {
       throw error instanceof Ending ? new Refused("try-later", error.end.text) : error;
     });
     // Before anything is asked for, so that no offer is missed.
@@ -231,6 +250,12 @@ class Life<W> {
     });
     void beyond(token, guard, watch.signal).then((text) => task.end(new Ending({ state: "failed", text })));
     await task.tell("");
+    // What has ended already does not begin.
+    if (task.signal.aborted) {
+      watch.abort();
+      await giveBack(task, guard);
+      return (task.signal.reason as Ending).end;
+    }
     const worked = (async () => this.agent.work(task))().then(
       (said): End => {
         const { text = "", ...more } = typeof said === "object" ? said : { text: said ?? "" };
@@ -258,7 +283,7 @@ class Life<W> {
 
   #refuse({ name, sender, parcel: { id } }: MessageEvent, { code, text }: Refused): Promise<void> {
     const answer = new Task(sender, undefined, this.client, this.channel, id);
-    return answer.say(`${name}-refused`, { code: CODES[code], name: code, text: sayable(text), by: sender }, [sender]);
+    return answer.say(`${name}-refused`, { code: CODES[code], name: code, text: sayable(text).slice(0, TEXT), by: sender }, [sender]);
   }
 }
 

@@ -36,8 +36,8 @@ from typing import Any, Awaitable, ClassVar, Dict, List, Mapping, Optional, Type
 from .client import Client
 from .core.holds import Lost
 from .drive import DriveError, Driving, driving, lost_words
-from .errors import ClosedError, MomError, WireError
-from .events import Count, Event, Lagged, Left, Message, Offer
+from .errors import ClosedError, LocalError, MomError, WireError
+from .events import Count, Event, Lagged, Left, Message, Offer, PeerLost, PeerResumed
 from .parcel import Parcel
 from .proxies import Channel, Token, TokenGuard
 from .values import sayable
@@ -53,8 +53,16 @@ _HUB = 0.5
 """Seconds that the hub may need to say that a scope is used up."""
 _ANSWER = 10.0
 """Seconds in which it says whether the token is lost."""
+_GIVEN = 0.5
+"""Seconds in which work that is to end gives the token back: then that is done without it."""
 _LAST = 5.0
-"""Seconds in which work that is to end has to: then the token is given back without it."""
+"""Seconds in which it has to end, and the device with it: then it is said that it does not."""
+_MET = 9.0
+"""Seconds that finding out whether a task can be done may take: a peer that asks waits no longer for an answer."""
+_AWAY = 5.0
+"""Seconds for which the peer of a task may be away, as its connection is lost, before the task ends."""
+_TEXT = 2000
+"""The most letters of what is said of a task."""
 
 
 class Refused(Exception):
@@ -188,11 +196,12 @@ class _Life:
         self.client, self.channel, self.agent = client, channel, agent
         self.task: Optional[Task] = None
         self.working: Optional[asyncio.Future[None]] = None
+        self.away: Optional[asyncio.TimerHandle] = None
 
     async def hear(self, event: Event) -> None:
         """Hears what a peer asks for."""
-        if isinstance(event, Left) and self.task is not None and event.member.peer == self.task.peer:
-            self.task.end(f"{self.task.peer} has left")
+        if isinstance(event, (Left, PeerLost, PeerResumed)) and self.task is not None and event.member.peer == self.task.peer:
+            self._note_peer(self.task, event)
         if not isinstance(event, Message) or event.parcel.history or event.parcel.sender is None:
             return
         try:
@@ -203,13 +212,28 @@ class _Life:
         except Refused as refused:
             await _refuse(self.channel, event.parcel, refused)
 
+    def _note_peer(self, task: Task, event: Event) -> None:
+        if self.away is not None:
+            self.away.cancel()
+        if isinstance(event, Left):
+            task.end(f"{task.peer} has left")
+        elif isinstance(event, PeerLost):
+            self.away = asyncio.get_running_loop().call_later(_AWAY, task.end, f"{task.peer} has lost its connection")
+
+    def _words(self, what: Any) -> str:
+        try:
+            return str(self.agent.words(what))
+        except Exception:
+            LOG.exception("%s: a task has no words", self.client.name)
+            return self.agent.verb
+
     def _take(self, parcel: Parcel) -> None:
         if self.task is not None:
-            had = f"{self.task.peer} has had it {self.agent.words(self.task.what)}"
+            had = f"{self.task.peer} has had it {self._words(self.task.what)}"
             raise Refused("try-later", f"busy: {had} for {int(time.monotonic() - self.task.since)} s")
         what = self._read(parcel)
         self.task = Task(parcel.sender or "", what, self.client, self.channel, parcel.id)
-        LOG.info("%s: a task of %s: %s", self.client.name, self.task.peer, self.agent.words(what))
+        LOG.info("%s: a task of %s: %s", self.client.name, self.task.peer, self._words(what))
         self.working = asyncio.ensure_future(self._carry_out(self.task, parcel))
 
     def _read(self, parcel: Parcel) -> Any:
@@ -217,7 +241,7 @@ class _Life:
             return self.agent.read(parcel.content)
         except Refused:
             raise
-        except Exception as error:
+        except (Exception, asyncio.CancelledError) as error:
             # Whatever a peer says, it does not end the agent.
             LOG.exception("%s: what %s asks for cannot be read", self.client.name, parcel.sender)
             raise Refused("bad-content", f"the content of `{self.agent.verb}` cannot be read: {type(error).__name__}: {error}") from error
@@ -254,23 +278,28 @@ class _Life:
             await _refuse(self.channel, parcel, end)
             return
         LOG.info("%s: the task of %s has ended: %s: %s", self.client.name, task.peer, end.state, end.text)
-        await task._tell(end.state, {**end.more, "text": sayable(end.text)})
+        await task._tell(end.state, {**end.more, "text": sayable(end.text)[:_TEXT]})
 
     async def _ended(self, task: Task) -> _End:
         try:
-            token = await task._unless_ended(self._token(task))
+            token = await task._unless_ended(asyncio.wait_for(self._token(task), _MET))
         except _End as end:
             raise Refused("try-later", end.text) from None
+        except asyncio.TimeoutError:
+            raise Refused("try-later", f"it could not be found out within {_MET:g} s whether that can be done") from None
         # Before anything is asked for, so that no offer is missed.
         with closing(token.events()) as offers:
             await task._tell("accepted", {"text": "offer me the token", "agent": self.client.name}, [task.peer])
             try:
-                task.guard = guard = await task._unless_ended(self._offered(task, token, offers))
+                await task._unless_ended(self._offered(task, token, offers))
+                # Not to be cancelled: what the hub grants meanwhile would be nobody's.
+                task.guard = guard = await self._accept(token)
             except _End as end:
                 return end
         try:
             await task.tell("")
-            return await self._work(task, token, guard)
+            # What has ended already does not begin.
+            return _End("cancelled", task._why) if task._ending.is_set() else await self._work(task, token, guard)
         finally:
             await _release(guard)
 
@@ -280,13 +309,16 @@ class _Life:
         except MomError as error:
             raise Refused("try-later", str(error)) from error
 
-    async def _offered(self, task: Task, token: Token, offers: Any) -> TokenGuard:
-        """The token, once the peer of the task offers it."""
+    async def _offered(self, task: Task, token: Token, offers: Any) -> None:
+        """Waits until the peer of the task offers the token."""
         try:
             await asyncio.wait_for(self._offer(task, token, offers), OFFERED)
-            return await token.accept()
         except asyncio.TimeoutError:
             raise _End("failed", f"{task.peer} did not offer the token within {OFFERED:g} s") from None
+
+    async def _accept(self, token: Token) -> TokenGuard:
+        try:
+            return await token.accept()
         except MomError as error:
             raise _End("failed", f"accept {token.path}: {error}") from error
 
@@ -314,7 +346,7 @@ class _Life:
                 return _End("cancelled", task._why)
             if not lost.done() and beyond.done():
                 return _End("failed", beyond.result())
-            if not lost.done() and work.exception() is not None:
+            if not lost.done() and not work.cancelled() and work.exception() is not None:
                 # A device that refuses because the token is lost may say so before the hub does.
                 asked = asyncio.ensure_future(_asked(token))
                 await asyncio.wait({lost, asked}, timeout=_ANSWER, return_when=asyncio.FIRST_COMPLETED)
@@ -327,10 +359,14 @@ class _Life:
 
     async def _end_work(self, task: Task, work: asyncio.Future[Any], guard: TokenGuard) -> None:
         work.cancel()
+        gone = asyncio.ensure_future(guard.lost())
+        await asyncio.wait({work, gone}, timeout=_GIVEN, return_when=asyncio.FIRST_COMPLETED)
+        gone.cancel()
+        if not guard.is_lost:
+            await _release(guard)
         done, _ = await asyncio.wait({work}, timeout=_LAST)
         if not done:
-            LOG.error("%s: the work for %s does not end; the token is given back without it", self.client.name, task.peer)
-            await _release(guard)
+            LOG.error("%s: the work for %s does not end; the token was given back without it", self.client.name, task.peer)
             await asyncio.wait({work})
         if not work.cancelled() and work.exception() is not None:
             LOG.debug("%s: the work for %s ended with", self.client.name, task.peer, exc_info=work.exception())
@@ -341,7 +377,8 @@ def _done(work: asyncio.Future[Any]) -> _End:
         return _End("failed", "the agent cancelled its own work")
     error = work.exception()
     if isinstance(error, (DriveError, MomError)):
-        return _End("failed", str(error))
+        at_end = getattr(error, "at_end", None)
+        return _End("failed", f"{error}; {at_end}" if at_end else str(error))
     if error is not None:
         raise error
     found = work.result()
@@ -430,13 +467,20 @@ async def _cancel(work: asyncio.Future[Any]) -> None:
 
 async def _refuse(channel: Channel, parcel: Parcel, refused: Refused) -> None:
     wire = refused.wire
-    content = {"code": wire.number, "name": wire.code, "text": sayable(wire.text), "by": parcel.sender}
+    content = {"code": wire.number, "name": wire.code, "text": sayable(wire.text)[:_TEXT], "by": parcel.sender}
     await _say(channel, f"{parcel.name}-refused", content, [parcel.sender or ""], parcel.id)
 
 
 async def _say(channel: Channel, name: str, content: Any, to: Optional[List[str]], reference: Optional[int]) -> None:
     try:
-        await channel.send(name, content, to=to, reference=reference, echo=False)
+        try:
+            await channel.send(name, content, to=to, reference=reference, echo=False)
+        except LocalError as error:
+            # What its author says beside that cannot be sent: how the task stands is told all the same.
+            LOG.warning("%s: what `%s` says beside its text is left out: %s", channel.path, name, error)
+            kept = {key: content[key] for key in ("by", "state", "agent", "code", "name") if key in content}
+            text = str(content.get("text") or "")
+            await channel.send(name, {**kept, "text": sayable(text)[:_TEXT]}, to=to, reference=reference, echo=False)
     except MomError as error:
         # The peer that asked hears of the end by the token's return, too.
         LOG.warning("%s: `%s` was not sent: %s", channel.path, name, error)

@@ -69,6 +69,8 @@ class Driving:
             # What went wrong inside is told as it is.
             if error is None:
                 raise
+            if isinstance(error, DriveError):
+                error.at_end = failure
             LOG.error("%s: %s", self._path, failure)
 
 

@@ -27,6 +27,8 @@ class DriveError(MomError):
         self._text = text
         self.hint = hint
         """What to do, where something can be done."""
+        self.at_end: Optional[DriveError] = None
+        """What else was wrong where a block of `driving` ended by this: the token was not taken back, or the device was stopped or is silent."""
 
     @property
     def text(self) -> str:
