@@ -26,7 +26,9 @@ use self::camera::{AIM, CAMERA};
 use self::contexts::{CREATE, DELETE};
 pub(crate) use self::parse::parse;
 
-use self::control::{ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, HIRE, INHIBIT, INVITE, MANAGE, REQUEST, TOKEN};
+use self::control::{
+    ACCEPT, BREAK, DECLINE, EXPEL, GIVE, GRAB, HIRE, INHIBIT, INVITE, MANAGE, REQUEST, TOKEN,
+};
 use self::drive::{CARD, JOG, RUN, TRACE};
 pub(crate) use self::drive::{CardArgs, JogArgs, RunArgs, TraceArgs};
 use self::look::{LOGS, TOP};
@@ -324,8 +326,8 @@ pub(crate) use access::{AuditArgs, ExplainArgs, WhatIfArgs};
 pub(crate) use camera::{AimArgs, CameraArgs};
 pub(crate) use contexts::{CreateArgs, DeleteArgs};
 pub(crate) use control::{
-    AcceptArgs, BreakArgs, DeclineArgs, ExpelArgs, GiveArgs, GrabArgs, HireArgs, HoldArgs, InhibitArgs, InviteArgs,
-    ManageArgs, RequestArgs, TokenArgs, WaitArg,
+    AcceptArgs, BreakArgs, DeclineArgs, ExpelArgs, GiveArgs, GrabArgs, HireArgs, HoldArgs, InhibitArgs,
+    InviteArgs, ManageArgs, RequestArgs, TokenArgs, WaitArg,
 };
 pub(crate) use look::{LogsArgs, TopArgs};
 pub(crate) use stop::{StopArgs, UnstopArgs};

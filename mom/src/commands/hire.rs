@@ -41,11 +41,17 @@ async fn hire(args: &cli::HireArgs, client: &Client, output: Output) -> Result<(
     hired.map_err(Failure::from)
 }
 
+/// Letters of what an agent says that are shown.
+const TEXT: usize = 500;
+
 /// How far the agent is, in its own words.
 fn line(report: &Map) -> String {
     let text = report.get("text").and_then(Value::as_str);
     match text.filter(|text| !text.is_empty()) {
-        Some(text) => format!("working: {}", visible(text)),
+        Some(text) => format!(
+            "working: {}",
+            visible(&text.chars().take(TEXT).collect::<String>())
+        ),
         None => "working".to_owned(),
     }
 }

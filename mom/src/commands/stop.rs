@@ -186,7 +186,7 @@ fn tell(
         return match order {
             Order::Unstop if lifted.is_empty() => Err(Failure::new(
                 "nothing is stopped there",
-                "see what there is with: mom tree",
+                "see what there is with: mom tree; whether the emergency stop of a device is pressed, its state says: mom watch PATH",
             )),
             _ => Err(Failure::new(
                 format!("there is nothing here that you may {}", order.word()),
@@ -204,7 +204,12 @@ fn tell(
             "see what there is with: mom tree",
         ));
     }
-    match report.denied.is_empty() && report.channels.iter().all(ToldChannel::is_obeyed) {
+    // What is held by its own emergency stop is not free, though the stop is lifted.
+    let is_held = |(_, answer): &(String, DeviceAnswer)| {
+        order == Order::Unstop && matches!(answer, DeviceAnswer::Obeys(Standing { estop: true, .. }))
+    };
+    let is_obeyed = |channel: &ToldChannel| channel.is_obeyed() && !channel.devices.iter().any(is_held);
+    match report.denied.is_empty() && report.channels.iter().all(is_obeyed) {
         true => Ok(()),
         false => Err(Failure::Told),
     }
@@ -214,7 +219,7 @@ fn tell(
 fn obeys(order: Order, standing: Standing) -> (&'static str, Tone) {
     match (order, standing) {
         (Order::Unstop, Standing { estop: true, .. }) => (
-            "does not move before its emergency stop is reset there",
+            "does not move: reset its emergency stop there, then unstop it once more",
             Tone::Bad,
         ),
         (Order::Unstop, _) => ("may move", Tone::Good),
@@ -426,7 +431,7 @@ mod tests {
         });
         assert_eq!(
             line(Order::Unstop, &told(&[("arm", pressed)]), None),
-            "/robot/arm: arm does not move before its emergency stop is reset there"
+            "/robot/arm: arm does not move: reset its emergency stop there, then unstop it once more"
         );
         let some = told(&[("arm", measured), ("mute", DeviceAnswer::Silent)]);
         assert_eq!(
