@@ -18,6 +18,12 @@ const holder = {
   async work(task) {
     if (task.what === "badly") throw new DriveError("my hands are full");
     if (task.what === "crashes") throw new TypeError("it crashes, as it is to");
+    if (task.what === "unsayable") {
+      const nested = [];
+      nested.push(nested);
+      return { text: "I held it", how: nested, often: 2n ** 80n };
+    }
+    if (task.what === "cancels itself") throw new DOMException("it ends itself", "AbortError");
     if (task.what === "once") return { text: "I held it once", times: 1 };
     if (task.what === "the arm") {
       const arm = await task.drive("/robot/arm");

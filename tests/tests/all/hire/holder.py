@@ -32,6 +32,12 @@ class Holder(mom.agent.Agent):
             raise DriveError("my hands are full")
         if task.what == "crashes":
             raise KeyError("it crashes, as it is to")
+        if task.what == "unsayable":
+            nested: list = []
+            nested.append(nested)
+            return {"text": "I held it", "how": nested, "often": 2**80}
+        if task.what == "cancels itself":
+            raise asyncio.CancelledError
         if task.what == "once":
             return {"text": "I held it once", "times": 1}
         if task.what == "the arm":

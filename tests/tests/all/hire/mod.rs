@@ -2,9 +2,10 @@
 
 mod holder;
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use mom_client::{Channel, Client, Event, Events, Given, Map, Parcel, Token, TokenGuard, Value};
+use mom_tests::faulty::{Fault, FaultyNetwork};
 use mom_tests::programs::{PATIENCE, Running, project};
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
@@ -19,17 +20,17 @@ macro_rules! alike {
         mod $case {
             #[tokio::test(flavor = "multi_thread")]
             async fn in_rust() {
-                super::cases::$case(super::Kit::Rust).await;
+                super::all::$case(super::Kit::Rust).await;
             }
 
             #[tokio::test(flavor = "multi_thread")]
             async fn in_python() {
-                super::cases::$case(super::Kit::Python).await;
+                super::all::$case(super::Kit::Python).await;
             }
 
             #[tokio::test(flavor = "multi_thread")]
             async fn in_javascript() {
-                super::cases::$case(super::Kit::JavaScript).await;
+                super::all::$case(super::Kit::JavaScript).await;
             }
         }
     )*};
@@ -43,6 +44,9 @@ alike! {
     each_task_has_one_end_in_words
     it_ends_with_what_was_lent
     the_device_that_it_drives_has_ended_its_command_when_the_token_is_back
+    a_cancel_while_the_token_is_handed_over_keeps_no_token
+    its_task_ends_when_the_connection_of_its_peer_is_lost
+    what_its_author_says_wrong_ends_the_task_all_the_same
 }
 
 async fn join(hub: &str, user: &str) -> Client {
@@ -182,10 +186,16 @@ fn what(what: &str) -> Map {
     Map::new().with("what", what)
 }
 
+/// Each case, by its name.
+mod all {
+    pub(in crate::hire) use super::cases::*;
+    pub(in crate::hire) use super::moments::*;
+}
+
 mod cases {
     use super::*;
 
-    pub(super) async fn a_task_is_accepted_worked_at_and_cancelled_by_whose_it_is(kit: Kit) {
+    pub(in crate::hire) async fn a_task_is_accepted_worked_at_and_cancelled_by_whose_it_is(kit: Kit) {
         let (hub, _agent) = hired(kit).await;
         let (alice, bob) = (join(&hub.address, "alice").await, join(&hub.address, "bob").await);
         let (hers, mut events) = meet(&alice).await;
@@ -222,7 +232,7 @@ mod cases {
         assert_eq!(refused, "there is no task to cancel");
     }
 
-    pub(super) async fn it_takes_the_token_of_its_peer_only(kit: Kit) {
+    pub(in crate::hire) async fn it_takes_the_token_of_its_peer_only(kit: Kit) {
         let (hub, _agent) = hired(kit).await;
         let (alice, bob) = (join(&hub.address, "alice").await, join(&hub.address, "bob").await);
         let (hers, mut events) = meet(&alice).await;
@@ -237,7 +247,7 @@ mod cases {
         assert_eq!(word(&said(&mut events, "progress").await, "state"), "working");
     }
 
-    pub(super) async fn its_task_ends_with_its_peer_its_token_and_its_program(kit: Kit) {
+    pub(in crate::hire) async fn its_task_ends_with_its_peer_its_token_and_its_program(kit: Kit) {
         let (hub, agent) = hired(kit).await;
         let carol = join(&hub.address, "carol").await;
         let (_seen, mut seen) = meet(&carol).await;
@@ -269,7 +279,7 @@ mod cases {
         assert_eq!(ended(&mut seen).await.1, "the agent's program ends");
     }
 
-    pub(super) async fn what_was_asked_before_it_came_is_no_task(kit: Kit) {
+    pub(in crate::hire) async fn what_was_asked_before_it_came_is_no_task(kit: Kit) {
         let hub = hub().await;
         let alice = join(&hub.address, "alice").await;
         let hers = alice.channel("/servo").await.expect("she may");
@@ -283,7 +293,7 @@ mod cases {
         assert_eq!(refused, "there is no task to cancel");
     }
 
-    pub(super) async fn each_task_has_one_end_in_words(kit: Kit) {
+    pub(in crate::hire) async fn each_task_has_one_end_in_words(kit: Kit) {
         let (hub, _agent) = hired(kit).await;
         let alice = join(&hub.address, "alice").await;
         let (hers, mut events) = meet(&alice).await;
@@ -306,7 +316,7 @@ mod cases {
         }
     }
 
-    pub(super) async fn it_ends_with_what_was_lent(kit: Kit) {
+    pub(in crate::hire) async fn it_ends_with_what_was_lent(kit: Kit) {
         let (hub, _agent) = hired(kit).await;
         let alice = join(&hub.address, "alice").await;
         let (hers, mut events) = meet(&alice).await;
@@ -327,7 +337,9 @@ mod cases {
         );
     }
 
-    pub(super) async fn the_device_that_it_drives_has_ended_its_command_when_the_token_is_back(kit: Kit) {
+    pub(in crate::hire) async fn the_device_that_it_drives_has_ended_its_command_when_the_token_is_back(
+        kit: Kit,
+    ) {
         let (hub, _agent) = hired(kit).await;
         let address = hub.address.clone();
         let _arm = spawn_blocking(move || {
@@ -351,14 +363,87 @@ mod cases {
     }
 }
 
+/// More cases.
+mod moments {
+    use super::*;
+
+    pub(in crate::hire) async fn a_cancel_while_the_token_is_handed_over_keeps_no_token(kit: Kit) {
+        let (hub, _agent) = hired(kit).await;
+        let alice = join(&hub.address, "alice").await;
+        let (hers, mut events) = meet(&alice).await;
+        let token = alice.token(TOKEN).await.expect("she may");
+        for _ in 0..8 {
+            ask(&hers, what("on")).await;
+            while word(&said(&mut events, "progress").await, "state") != "accepted" {}
+            let guard = token.grab().wait(PATIENCE).await.expect("it becomes free");
+            let _given = guard.give("servo").await.expect("the agent is here");
+            cancel(&hers).await;
+            assert_eq!(ended(&mut events).await.0, "cancelled");
+            drop(guard);
+            let free = async {
+                while token.status().await.expect("told").owner.as_deref() == Some("servo") {
+                    tokio::task::yield_now().await;
+                }
+            };
+            timeout(PATIENCE, free).await.expect("it keeps no token");
+        }
+    }
+
+    pub(in crate::hire) async fn its_task_ends_when_the_connection_of_its_peer_is_lost(kit: Kit) {
+        let (hub, _agent) = hired(kit).await;
+        let address = hub.address.trim_start_matches("bin://");
+        let network = FaultyNetwork::to(address.parse().expect("an address"), |_| Fault::default()).await;
+        let alice = Client::builder(format!("bin://{}", network.address));
+        let alice = alice
+            .user("alice")
+            .password("alice")
+            .link(Duration::from_secs(60));
+        let alice = alice.connect().await.expect("the lab knows her");
+        let carol = join(&hub.address, "carol").await;
+        let (_seen, mut seen) = meet(&carol).await;
+        let (hers, mut events) = meet(&alice).await;
+        ask(&hers, what("on")).await;
+        assert_eq!(word(&said(&mut events, "progress").await, "state"), "accepted");
+        let _lent = lend(&alice).await;
+        assert_eq!(word(&said(&mut seen, "progress").await, "state"), "working");
+        network.freeze(true);
+        network.sever();
+        let words = "alice has lost its connection";
+        assert_eq!(ended(&mut seen).await, ("cancelled".to_owned(), words.to_owned()));
+    }
+
+    pub(in crate::hire) async fn what_its_author_says_wrong_ends_the_task_all_the_same(kit: Kit) {
+        let (hub, _agent) = hired(kit).await;
+        let alice = join(&hub.address, "alice").await;
+        let (hers, mut events) = meet(&alice).await;
+        // Rust says nothing that cannot be sent.
+        let wrong: &[&str] = if kit == Kit::Rust {
+            &["once"]
+        } else {
+            &["unsayable", "cancels itself"]
+        };
+        for task in wrong {
+            let lent = hire(&alice, &hers, &mut events, task).await;
+            let (state, _) = ended(&mut events).await;
+            assert!(["done", "failed"].contains(&&*state), "{task}: {state}");
+            is_back(lent).await;
+        }
+    }
+}
+
 /// Work that does not end keeps neither the token nor its peer, and no other task begins beside it.
 async fn deaf(kit: Kit) {
     let (hub, _agent) = hired(kit).await;
     let alice = join(&hub.address, "alice").await;
     let (hers, mut events) = meet(&alice).await;
     let lent = hire(&alice, &hers, &mut events, "deaf").await;
+    let told = Instant::now();
     cancel(&hers).await;
     is_back(lent).await;
+    assert!(
+        told.elapsed() < Duration::from_secs(4),
+        "the token waits for no work"
+    );
     ask(&hers, what("on")).await;
     let busy = word(&said(&mut events, "hold-refused").await, "text");
     assert!(
