@@ -397,3 +397,20 @@ def test_a_verb_that_takes_nothing_for_its_end_gets_no_turn_at_the_end_of_python
     told = done.stdout.split()
     assert "sets" in told and told[-1] == "halt", told
     assert all(told[place + 1] == "halt" for place, word in enumerate(told) if word == "sets")
+
+
+async def test_a_device_that_fails_ends_its_commands(robot: Robot) -> None:
+    cart = await start(robot)
+    robot.say("command", "wait 30000", id=1)
+    robot.say("command", "wait 5", id=2)
+    await robot.until(lambda: any(said.get("id") == 1 and said["state"] == "executing" for said in robot.said("status")))
+
+    def fails() -> bool:
+        raise OSError("the input is gone")
+
+    cart.estop = fails  # type: ignore[method-assign]
+    await robot.until(lambda: ended(robot, 1) and ended(robot, 2))
+    errors = [said["error"] for said in robot.said("status") if "error" in said]
+    assert [error["name"] for error in errors] == ["link", "link"] and "the input is gone" in errors[0]["text"]
+    with pytest.raises(OSError):
+        await asyncio.wait_for(robot.arm.ended(), PATIENCE)

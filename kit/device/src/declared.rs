@@ -90,8 +90,8 @@ pub trait Device: Send {
     }
 
     /// Whether an emergency stop at the device itself is pressed, such as a button on it or its pendant; `None` if it knows of none. It is
-    /// asked at each turn, each 150 ms at the latest. While it is pressed nothing is carried out, and when it was reset nothing either until
-    /// an `unstop` that was said after that.
+    /// asked at each turn, each 150 ms at the latest. While it is pressed nothing is carried out, and when it was reset nothing either
+    /// until an `unstop` that was said after that.
     fn estop(&self) -> Option<bool> {
         None
     }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use mom_client::{Map, Value};
 
-use crate::{DeviceError, ErrorName, Machine};
+use crate::{DeviceError, ErrorName};
 
 /// The longest script, in bytes.
 pub const MAX_BYTES: usize = 64 * 1024;
@@ -138,17 +138,18 @@ impl<A> Script<A> {
 }
 
 /// The script of a command's content, and the bytes that came with it.
-pub(crate) fn script_of<M: Machine>(content: Option<&Value>) -> Result<(&str, Attachments), DeviceError> {
+pub(crate) fn script_of<'a>(
+    name: &str,
+    content: Option<&'a Value>,
+) -> Result<(&'a str, Attachments), DeviceError> {
     let plain = content.and_then(Value::as_str).map(|script| (script, None));
     let with = || {
         let content = content?;
         Some((content.get("script")?.as_str()?, content.get("attachments")))
     };
     let (script, attachments) = plain.or_else(with).ok_or_else(|| {
-        let text = format!(
-            "the content of a command is a string, the script of {}, or {{script, attachments}}",
-            M::NAME
-        );
+        let text =
+            format!("the content of a command is a string, the script of {name}, or {{script, attachments}}");
         DeviceError::new(ErrorName::Syntax, text)
     })?;
     let attachments = match attachments {

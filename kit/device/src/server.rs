@@ -389,7 +389,7 @@ impl<M: Machine> DeviceServer<M> {
             .content
             .as_ref()
             .and_then(|content| content.to_value().ok());
-        let (script, attachments) = script_of::<M>(content.as_ref())?;
+        let (script, attachments) = script_of(M::NAME, content.as_ref())?;
         if let Some(id) = order.id
             && self.queue.orders().any(|other| *other == order)
         {

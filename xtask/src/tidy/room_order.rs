@@ -50,7 +50,7 @@ pub(super) const ROOMS: &[(&str, &str)] = &[
     ),
     (
         "mom-device",
-        "obey back contexts run clock outlet server fresh refusal pull queue declared carded call reading machine command script words rest error",
+        "obey back contexts run clock outlet server estop fresh refusal pull queue declared carded call reading machine command script words rest error",
     ),
     (
         "mom-wheels",
