@@ -300,6 +300,19 @@ impl<M: Machine> Stage<M> {
                 }
                 self.out.clear();
             }
+            ["report"] => {
+                let server = self.server.as_mut().unwrap();
+                server.report(&mut self.out);
+            }
+            [sender, "command", ..] => self.command(sender, &words[2..], script),
+            ["pressed" | "reset" | "pushed"] | ["kept", _] => self.touch(&words),
+            _ => self.happen(line, &words),
+        }
+    }
+
+    /// Does something to the device itself, or looks at what it has done to its mechanism.
+    fn touch(&mut self, words: &[&str]) {
+        match *words {
             [word @ ("pressed" | "reset")] => {
                 let press = self.press.unwrap();
                 self.note(|machine| press(machine, word == "pressed"));
@@ -319,12 +332,7 @@ impl<M: Machine> Stage<M> {
                 let push = self.push.unwrap();
                 self.note(push);
             }
-            ["report"] => {
-                let server = self.server.as_mut().unwrap();
-                server.report(&mut self.out);
-            }
-            [sender, "command", ..] => self.command(sender, &words[2..], script),
-            _ => self.happen(line, &words),
+            _ => panic!("nothing is done to a device by {words:?}"),
         }
     }
 

@@ -335,7 +335,7 @@ fn a_stop_that_the_driver_refuses_is_given_again_and_not_done_before() {
         |stage| {
             stage
                 .queue
-                .stop(stage.now, "a test", ErrorName::Stopped, &mut stage.events)
+                .stop(stage.now, "a test", ErrorName::Stopped, &mut stage.events);
         },
         // The end of a statement.
         |stage| stage.pass(1001 * MS),

@@ -119,7 +119,7 @@ impl Arm {
     /// Halts the arm, every command ending with the error `stopped`, and takes none until [`Arm::unstop`].
     pub fn stop(&mut self, now: ArmTime, reason: &str, events: &mut Vec<ArmEvent>) {
         self.act(events, |queue, events| {
-            queue.stop(now, reason, ErrorName::Stopped, events)
+            queue.stop(now, reason, ErrorName::Stopped, events);
         });
     }
 
