@@ -6,6 +6,10 @@ use std::path::PathBuf;
 use mom_net::Door;
 use mom_proto::codec::Form;
 use mom_tests::dialogue::{CLIENTS, Carrier, Dialogue};
+use tokio::task::JoinSet;
+
+/// Dialogues that are played at once.
+const SIDE_BY_SIDE: usize = 3;
 
 fn files() -> Vec<PathBuf> {
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/dialogues");
@@ -31,19 +35,38 @@ fn check_some(carrier: Carrier, chosen: &[&str]) {
         .enable_all()
         .build()
         .unwrap();
-    let mut failures = Vec::new();
-    for file in files() {
+    let named = files().into_iter().map(|file| {
         let name = file.file_name().unwrap().to_string_lossy().into_owned();
-        if !chosen.iter().any(|part| name.contains(part)) {
-            continue;
+        (name, file)
+    });
+    let mut waiting = named.filter(|(name, _)| chosen.iter().any(|part| name.contains(part)));
+    let failures = runtime.block_on(async {
+        let (mut running, mut failures) = (JoinSet::new(), Vec::new());
+        // They wait for their hubs more than they compute, and each has one of its own.
+        for dialogue in waiting.by_ref().take(SIDE_BY_SIDE) {
+            begin(&mut running, dialogue, carrier);
         }
-        let text = std::fs::read_to_string(&file).unwrap();
-        let result = Dialogue::parse(&text).and_then(|dialogue| runtime.block_on(dialogue.run(carrier)));
-        if let Err(error) = result {
-            failures.push(format!("{name}, {carrier}, {error}"));
+        while let Some(ended) = running.join_next().await {
+            failures.extend(ended.unwrap());
+            if let Some(dialogue) = waiting.next() {
+                begin(&mut running, dialogue, carrier);
+            }
         }
-    }
+        failures
+    });
     assert!(failures.is_empty(), "\n{}", failures.join("\n"));
+}
+
+/// Begins to play a dialogue; gives how it fails, if it does.
+fn begin(running: &mut JoinSet<Option<String>>, (name, file): (String, PathBuf), carrier: Carrier) {
+    let text = std::fs::read_to_string(&file).unwrap();
+    let _handle = running.spawn(async move {
+        let played = match Dialogue::parse(&text) {
+            Ok(dialogue) => dialogue.run(carrier).await,
+            Err(error) => Err(error),
+        };
+        played.err().map(|error| format!("{name}, {carrier}, {error}"))
+    });
 }
 
 #[test]

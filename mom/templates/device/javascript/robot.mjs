@@ -32,6 +32,7 @@ const robot = device("newbot", {
 });
 
 const key = await Key.fromPem(readFileSync("newbot.key", "utf8"));
-const client = await connect(process.env.MOM_HUB ?? "mom://127.0.0.1:7666", { user: "newbot", key, heartbeat: 500 });
+// Started again, it takes the place of its earlier start: nothing else may be called so.
+const client = await connect(process.env.MOM_HUB ?? "mom://127.0.0.1:7666", { user: "newbot", key, heartbeat: 500, installation: "newbot" });
 runs(await client.obey("/newbot/robot", robot));
 console.log("newbot is ready");

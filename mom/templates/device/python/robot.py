@@ -56,7 +56,8 @@ class Robot(Device):
 async def main():
     hub = os.environ.get("MOM_HUB", "mom://127.0.0.1:7666")
     key = mom.Key.from_file("newbot.key")
-    async with mom.connect(hub, user="newbot", key=key, heartbeat=0.5) as client:
+    # Started again, it takes the place of its earlier start: nothing else may be called so.
+    async with mom.connect(hub, user="newbot", key=key, heartbeat=0.5, installation="newbot") as client:
         device = await client.obey("/newbot/robot", Robot())
         print("newbot is ready", flush=True)
         await device.ended()

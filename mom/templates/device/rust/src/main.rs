@@ -89,6 +89,8 @@ async fn main() -> anyhow::Result<()> {
         .user("newbot")
         .key_file("newbot.key")
         .heartbeat(Duration::from_millis(500))
+        // Started again, it takes the place of its earlier start: nothing else may be called so.
+        .installation("newbot")
         .connect()
         .await?;
     let robot = Robot(Motors::find()?);
