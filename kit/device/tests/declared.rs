@@ -1,6 +1,6 @@
 //! A device that declares its verbs does what every device does.
 
-use mom_client::{Card, CardArg, CardType, CardVerb, Map, Value};
+use mom_client::{Card, CardArg, CardType, CardVerb, Event, Family, Map, Parcel, Value};
 use mom_device::{
     Attachments, Call, Declared, Device, DeviceError, DeviceTime, ErrorName, Machine as _, Script,
 };
@@ -387,4 +387,105 @@ fn what_is_not_a_number_is_said_as_null_and_measures_nothing() {
     );
     // It is known to stand by its stopping time.
     assert_eq!(machine.measured(0), None);
+}
+
+/// A device that asks for its commands, as its link is slow.
+#[test]
+fn one_that_pulls_asks_while_it_is_owned_free_and_idle() {
+    let mut stage = stage::<false>().begin();
+    stage.set(|server| server.pulling(1_000_000));
+    let asks = |stage: &mut Stage<Declared<Cart<false>>>, now: DeviceTime| {
+        let (gate, mut out) = (stage.gate.clone(), Vec::new());
+        let due = stage.server().asks_at(&gate);
+        stage.server().ask(&gate, now, &mut out);
+        let said: Vec<(String, Option<i64>)> = out
+            .iter()
+            .map(|parcel| {
+                (
+                    parcel.name().to_owned(),
+                    parcel.value().get("wait").and_then(Value::as_int),
+                )
+            })
+            .collect();
+        (due, said)
+    };
+    assert_eq!(asks(&mut stage, 0), (None, Vec::new()), "nobody owns its token");
+    stage.act("gate alice 5");
+    let next = ("next".to_owned(), Some(1000));
+    let (due, said) = asks(&mut stage, 5_000_000);
+    assert!(
+        due.is_some_and(|due| due <= 5_000_000) && said == [next.clone()],
+        "{due:?}"
+    );
+    assert_eq!(asks(&mut stage, 5_999_999), (Some(6_000_000), Vec::new()), "once");
+    assert_eq!(asks(&mut stage, 6_000_000), (Some(6_000_000), vec![next]));
+    // What is no answer is refused, but for the safe state.
+    stage.act("alice command 1 5: wait 100");
+    let refused = stage.heard().pop();
+    assert_eq!(refused.as_deref(), Some("status alice/1 error 0/0 bad-slot 220"));
+    stage.act("hub command - 5: wait 100");
+    assert_eq!(asks(&mut stage, 9_000_000), (None, Vec::new()), "it is busy");
+    stage.act("bob stop 3");
+    assert_eq!(asks(&mut stage, 9_000_000), (None, Vec::new()), "it is stopped");
+    stage.act("gate - 5");
+    stage.act("bob unstop 3");
+    assert_eq!(
+        asks(&mut stage, 9_000_000),
+        (None, Vec::new()),
+        "nobody owns it any more"
+    );
+}
+
+#[test]
+fn what_a_device_cannot_carry_out_ends_all_that_waits() {
+    let mut stage = stage::<false>().begin();
+    stage.act("alice command 1 5: wait 100");
+    stage.act("alice command 2 5: wait 100");
+    stage.heard();
+    let (error, mut out) = (DeviceError::new(ErrorName::Battery, "it is empty"), Vec::new());
+    // A time before the latest one counts as that.
+    stage.server().fail(0, &error, &mut out);
+    let ends: Vec<String> = out
+        .iter()
+        .filter_map(|parcel| Some(parcel.value().get("error")?.get("name")?.as_str()?.to_owned()))
+        .collect();
+    assert!(
+        ends.len() == 2 && ends.iter().all(|name| name == "battery" || name == "halted"),
+        "{ends:?}"
+    );
+}
+
+#[test]
+fn what_comes_with_commands_that_wait_is_bounded() {
+    let mut stage = Stage::new(Declared::new(Kitchen::default()));
+    let sound = Map::new().with("bell", Value::Binary(vec![0; 5 << 20].into()));
+    let play = |id: u64| {
+        let content = Map::new()
+            .with("script", "wait 1000; play bell")
+            .with("attachments", sound.clone());
+        let mut parcel = Parcel::new(Family::Message, "command").content(content);
+        (parcel.sender, parcel.id, parcel.fence) = (Some("alice".into()), Some(id), Some(5));
+        Event::Message(parcel)
+    };
+    for id in [1, 2] {
+        stage.tell(&play(id));
+    }
+    assert_eq!(
+        stage.heard(),
+        [
+            "status alice/1 waiting 0/2",
+            "status alice/1 executing 1/2",
+            "status alice/2 error 0/0 queue-full 5103"
+        ]
+    );
+}
+
+#[test]
+fn its_card_says_how_soon_it_stands_and_its_errors_where_they_are() {
+    let cart = Declared::new(Cart::<false>::default());
+    assert_eq!(mom_device::card(&cart).stops_within, Some(1000));
+    let error = told("light on; follow x", &Map::new()).unwrap_err();
+    assert_eq!((error.position(), error.may_be_retried()), (Some(17), false));
+    assert!(DeviceError::new(ErrorName::Busy, "it is").may_be_retried());
+    assert_eq!(ErrorName::Estop.to_string(), "estop");
 }
