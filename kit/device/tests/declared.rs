@@ -419,7 +419,7 @@ fn one_that_pulls_asks_while_it_is_owned_free_and_idle() {
     );
     assert_eq!(asks(&mut stage, 5_999_999), (Some(6_000_000), Vec::new()), "once");
     assert_eq!(asks(&mut stage, 6_000_000), (Some(6_000_000), vec![next]));
-    // What is no answer is refused, but for the safe state.
+    // A command that answers nothing is refused, but for the safe state.
     stage.act("alice command 1 5: wait 100");
     let refused = stage.heard().pop();
     assert_eq!(refused.as_deref(), Some("status alice/1 error 0/0 bad-slot 220"));
