@@ -110,7 +110,7 @@ impl Hire<'_> {
         let events = agent.events();
         let what = format!("ask the agent in {} to {}", self.channel, self.words);
         let asked = tokio::select! {
-            asked = agent.ask(self.verb, self.task.clone(), &what) => asked.map_err(|failure| self.unanswered(failure)),
+            asked = agent.ask(self.verb, self.task.clone(), &what) => asked,
             lost = lost(&mut holding) => return Err(VerbFailure::plain(lost_words(self.token, &lost))),
             () = &mut interrupt => {
                 cancel(&agent).await;
@@ -152,17 +152,6 @@ impl Hire<'_> {
             format!("the agent is not in {}", self.channel),
             self.absent,
         ))
-    }
-
-    /// Of an agent that does not answer: it may not know what it is asked for.
-    fn unanswered(&self, failure: VerbFailure) -> VerbFailure {
-        match failure.to_string().starts_with("no device answers") {
-            true => VerbFailure::new(
-                format!("nobody in {} answers to `{}`", self.channel, self.verb),
-                "ask its author what it can be hired for; look at what it says: mom watch and its channel",
-            ),
-            false => failure,
-        }
     }
 
     /// Gives the token to the agent that has accepted the task.

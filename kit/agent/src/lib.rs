@@ -14,7 +14,7 @@
 //! [`Hire`] is the other side: it asks an agent, lends it the token, follows it, and takes the token back.
 //!
 //! It takes an offer of the token from the peer of an accepted task only, within [`OFFERED`] of the acceptance. The task ends when its peer
-//! cancels it or leaves, when the token is lost, when what was lent is used up, and when the program ends.
+//! cancels it, leaves or has lost its connection for 5 s, when the token is lost, when what was lent is used up, and when the program ends.
 
 mod hire;
 mod hired;

@@ -8,6 +8,9 @@ use tokio::time::timeout;
 use crate::VerbFailure;
 use crate::failure::Doing as _;
 
+/// What to do where nobody answers.
+const SEE: &str = "see who is there: mom tree";
+
 /// How long a device may take for an answer.
 pub const ANSWER: Duration = Duration::from_secs(10);
 
@@ -119,7 +122,14 @@ impl DeviceChannel {
         };
         let answer = match timeout(ANSWER, answer).await {
             Ok(answer) => answer?,
-            Err(_) => return Err(self.nobody()),
+            Err(_) => {
+                let text = format!(
+                    "nobody in {} answers to `{name}` within {} s",
+                    self.path(),
+                    ANSWER.as_secs()
+                );
+                return Err(VerbFailure::new(text, SEE));
+            }
         };
         match answer.name().ends_with("-refused") {
             true => Err(VerbFailure::Refused {
@@ -131,12 +141,7 @@ impl DeviceChannel {
     }
 
     fn nobody(&self) -> VerbFailure {
-        let text = format!(
-            "no device answers in {} within {} s",
-            self.path(),
-            ANSWER.as_secs()
-        );
-        VerbFailure::new(text, "see who is there: mom tree")
+        VerbFailure::new(format!("nobody is in {} to take it", self.path()), SEE)
     }
 }
 
