@@ -36,26 +36,6 @@ pub(crate) fn cargo(root: &Path) -> Command {
     command
 }
 
-/// The same command with what others leave of the processor.
-pub(crate) fn behind(command: &Command) -> Command {
-    let mut behind = Command::new("nice");
-    behind
-        .args(["-n", "10"])
-        .arg(command.get_program())
-        .args(command.get_args());
-    for (name, value) in command.get_envs() {
-        match value {
-            Some(value) => behind.env(name, value),
-            None => behind.env_remove(name),
-        };
-    }
-    if let Some(folder) = command.get_current_dir() {
-        behind.current_dir(folder);
-    }
-    behind.stdin(Stdio::null());
-    behind
-}
-
 /// Whether this program starts and ends well with these arguments; its output is not shown.
 pub(crate) fn succeeds(name: &str, args: &[&str]) -> bool {
     program(name)

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, anyhow};
 
-use crate::command::{behind, cargo, end_with_children, line, shows};
+use crate::command::{cargo, end_with_children, line, shows};
 use crate::counts::{Counts, STALL};
 use crate::{clients, console, javascript};
 
@@ -61,28 +61,24 @@ pub(crate) fn run(root: &Path, args: &[String]) -> Result<Counts> {
         return Ok(Counts::default().concluded(false));
     }
     if !whole {
-        return run_cargo(root, args, None, false);
+        return run_cargo(root, args, None, show);
     }
-    let (computing, clients) = std::thread::scope(|scope| {
-        let clients = scope.spawn(|| run_clients(root, &programs));
-        let computing = run_cargo(root, &Part::Computing.targets(), Some(&programs), true);
-        (computing, clients.join())
+    let computing = run_cargo(root, &Part::Computing.targets(), Some(&programs), show)?;
+    let (system, others) = std::thread::scope(|scope| {
+        let others = scope.spawn(|| run_others(root, &programs));
+        let system = run_cargo(root, &Part::System.targets(), Some(&programs), show);
+        (system, others.join())
     });
-    let (said, clients) = clients
-        .map_err(|_| anyhow!("the tests of the other languages ended by a fault of their runner"))??;
+    let (said, others) =
+        others.map_err(|_| anyhow!("what runs beside those tests ended by a fault of its runner"))??;
     print!("{said}");
-    let (said, pages) = console::test(root, &programs.join("mom"))?;
-    print!("{said}");
-    let system = run_cargo(root, &Part::System.targets(), Some(&programs), false)?;
-    let examples = run_cargo(root, &["--doc".to_owned()], None, false)?;
-    Ok(computing?.and(system).and(examples).and(clients).and(pages))
+    Ok(computing.and(system?).and(others))
 }
 
-/// Which of the Rust tests run side by side with those of the clients in other languages.
+/// Which of the Rust tests run by themselves, and which side by side with those of the console and of other languages.
 ///
-/// Browsers and devices take each other's processor on two cores, and an arm that stands still for a quarter of a second halts. So tests
-/// that only compute run beside the clients', with what these leave of the processor; the console's run alone, as do those that start
-/// programs.
+/// Tests that only compute fill all cores. Those that start programs wait for them a third of their time, and browsers half of it: side by
+/// side they take 900 s on two cores instead of 1220.
 enum Part {
     Computing,
     System,
@@ -141,6 +137,7 @@ impl Part {
                 "client",
                 "external",
                 "linuxbot",
+                "peer",
                 "program",
                 "stops",
                 "store",
@@ -161,22 +158,27 @@ impl Part {
     }
 }
 
-/// Runs the tests of the clients in other languages, one after the other; gives what they say, and their counts.
-fn run_clients(root: &Path, programs: &Path) -> Result<(String, Counts)> {
+/// Runs the tests of the console and of the clients in other languages, then the examples of the documentation, one after the other; gives
+/// what they say, and their counts.
+fn run_others(root: &Path, programs: &Path) -> Result<(String, Counts)> {
     let broker = programs.join("mom-broker");
-    let (python, counts) = clients::test(root, &broker)?;
+    let (mut said, pages) = console::test(root, &programs.join("mom"))?;
+    let (python, others) = clients::test(root, &broker)?;
     let (js, more) = javascript::test(root, &broker)?;
-    Ok((python + &js, counts.and(more)))
+    said += &python;
+    said += &js;
+    let examples = run_cargo(root, &["--doc".to_owned()], None, |text| said += text)?;
+    Ok((said, pages.and(others).and(more).and(examples)))
 }
 
-/// Runs what cargo runs, with its output shown; the programs are built already if it is said where they are. Behind others it has what
-/// they leave of the processor.
-fn run_cargo(root: &Path, args: &[String], programs: Option<&Path>, is_behind: bool) -> Result<Counts> {
+fn show(text: &str) {
+    print!("{text}");
+}
+
+/// Runs what cargo runs, and says its output; the programs are built already if it is said where they are.
+fn run_cargo(root: &Path, args: &[String], programs: Option<&Path>, say: impl FnMut(&str)) -> Result<Counts> {
     let mut command = cargo(root);
     command.args(arguments(args));
-    if is_behind {
-        command = behind(&command);
-    }
     command.stdout(Stdio::piped());
     if std::env::var_os(THREADS).is_none() {
         // Those of the whole system wait for their programs more than they compute.
@@ -195,7 +197,7 @@ fn run_cargo(root: &Path, args: &[String], programs: Option<&Path>, is_behind: b
     let stdout = child.stdout.take().context("cargo's output cannot be read")?;
     let (sender, lines) = channel();
     std::thread::spawn(move || read_lines(stdout, &sender));
-    let (counts, status) = follow(&mut child, &lines, STALL)?;
+    let (counts, status) = follow(&mut child, &lines, STALL, say)?;
     if !status.success() && counts.failed == 0 {
         eprintln!("cargo test failed without a failed test ({status}): see the messages above");
     }
@@ -243,18 +245,23 @@ fn read_lines(stdout: impl Read, sender: &Sender<String>) {
     }
 }
 
-/// Shows and counts the lines until cargo has ended and said all. Tests that have come to a standstill are ended, and fail.
+/// Says and counts the lines until cargo has ended and said all. Tests that have come to a standstill are ended, and fail.
 ///
 /// The end of the output alone is not waited for: a program that a test has left behind holds the pipe open, and
 /// this would wait as long as that lives.
-fn follow(child: &mut Child, lines: &Receiver<String>, stall: Duration) -> Result<(Counts, ExitStatus)> {
+fn follow(
+    child: &mut Child,
+    lines: &Receiver<String>,
+    stall: Duration,
+    mut say: impl FnMut(&str),
+) -> Result<(Counts, ExitStatus)> {
     let mut counts = Counts::default();
     let mut slow = Slow::default();
     let (mut ended, mut heard) = (None, Instant::now());
     loop {
         match lines.recv_timeout(Duration::from_millis(500)) {
             Ok(text) => {
-                print!("{text}");
+                say(&text);
                 counts.add_line(&text);
                 slow.add_line(&text);
                 heard = Instant::now();
@@ -323,7 +330,7 @@ mod tests {
         let stdout = child.stdout.take().unwrap();
         let (sender, lines) = channel();
         std::thread::spawn(move || read_lines(stdout, &sender));
-        let (counts, status) = follow(&mut child, &lines, Duration::from_secs(1)).unwrap();
+        let (counts, status) = follow(&mut child, &lines, Duration::from_secs(1), show).unwrap();
         assert!(!status.success());
         assert_eq!(
             counts.concluded(status.success()).to_string(),
