@@ -2,6 +2,7 @@
 
 mod cli;
 mod commands;
+mod complete;
 mod connect;
 mod devices;
 mod doctor;
@@ -31,16 +32,16 @@ fn running<'a>(cli: &'a Cli, output: &'a Output) -> Pin<Box<dyn Future<Output = 
 }
 
 fn main() -> ExitCode {
-    // The settings of the environment count as arguments for clap, so it would not see that there are none.
     let args: Vec<_> = std::env::args_os().collect();
-    if args.len() == 1 {
-        return output::help(&mut Cli::command());
-    }
-    if let Some(written) = mom_pages::asked::<Cli>(&args) {
+    if let Some(written) = mom_pages::asked::<complete::Completed>(&args) {
         return match written {
             Ok(()) => ExitCode::SUCCESS,
             Err(error) => Output::new(false).failure(&Failure::from(error)),
         };
+    }
+    // The settings of the environment count as arguments for clap, so it would not see that there are none.
+    if args.len() == 1 {
+        return output::help(&mut Cli::command());
     }
     let cli = cli::parse();
     let output = Output::new(cli.global.json);

@@ -6,10 +6,10 @@ mod times;
 
 use std::ffi::OsString;
 use std::path::Path;
-use std::{fs, io};
+use std::{env, fs, io};
 
 use clap::CommandFactory;
-use clap_complete::Shell;
+use clap_complete::env::{CompleteEnv, Shells};
 
 pub use interrupt::Interrupt;
 pub use times::{duration, duration_within};
@@ -17,14 +17,24 @@ pub use times::{duration, duration_within};
 /// The first of the two arguments that ask for them. It is not an option of the programs, because it is for packagers only.
 pub const ASK: &str = "--write-pages";
 
-/// Writes the pages of a program that was started with [`ASK`] and a folder after its name; none = it was asked for something else.
+/// The variable by which a shell asks a program what may come next on its command line, with its own name.
+pub const COMPLETE: &str = "COMPLETE";
+
+/// Answers a shell that asks for completions, or writes the pages of a program that was started with [`ASK`] and a folder after its name;
+/// none = it was asked for something else.
 pub fn asked<C: CommandFactory>(args: &[OsString]) -> Option<io::Result<()>> {
+    let completing = CompleteEnv::with_factory(C::command).var(COMPLETE);
+    match completing.try_complete(args, env::current_dir().ok().as_deref()) {
+        Ok(false) => {}
+        Ok(true) => return Some(Ok(())),
+        Err(error) => return Some(Err(io::Error::other(error))),
+    }
     let [_, ask, folder] = args else { return None };
     (ask == ASK).then(|| write(&C::command(), Path::new(folder)))
 }
 
 /// Writes `man/*.1`, a page for each command, and a file for each of the shells `bash`, `zsh` and `fish` into folders of
-/// their names, named as each shell looks for it.
+/// their names, named as each shell looks for it: by it the shell asks the program itself what completes a line.
 ///
 /// # Errors
 /// A folder or file that cannot be written.
@@ -37,13 +47,15 @@ pub fn write(command: &clap::Command, folder: &Path) -> io::Result<()> {
         fs::write(&page, with_examples(&fs::read_to_string(&page)?))?;
     }
     let name = command.get_name();
+    let shells = Shells::builtins();
     for (shell, file) in [
-        (Shell::Bash, format!("bash/{name}")),
-        (Shell::Zsh, format!("zsh/_{name}")),
-        (Shell::Fish, format!("fish/{name}.fish")),
+        ("bash", format!("bash/{name}")),
+        ("zsh", format!("zsh/_{name}")),
+        ("fish", format!("fish/{name}.fish")),
     ] {
         let mut text = Vec::new();
-        clap_complete::generate(shell, &mut command.clone(), name, &mut text);
+        let shell = shells.completer(shell).ok_or(io::ErrorKind::Unsupported)?;
+        shell.write_registration(COMPLETE, name, name, name, &mut text)?;
         let file = folder.join(file);
         file.parent().map_or(Ok(()), fs::create_dir_all)?;
         fs::write(file, text)?;
@@ -81,15 +93,15 @@ mod tests {
         let command = clap::Command::new("mom").subcommands([shown, hidden]);
         let command = command.after_help("Examples:\n  mom grab   one\n  mom grab   two\nThe end.");
         write(&command, folder.path()).unwrap();
-        for file in [
-            "man/mom.1",
-            "man/mom-grab.1",
-            "bash/mom",
-            "zsh/_mom",
-            "fish/mom.fish",
+        for (file, part) in [
+            ("man/mom.1", "grab"),
+            ("man/mom-grab.1", "grab"),
+            ("bash/mom", "COMPLETE=\"bash\""),
+            ("zsh/_mom", "COMPLETE=\"zsh\""),
+            ("fish/mom.fish", "COMPLETE=fish"),
         ] {
             let text = fs::read_to_string(folder.path().join(file)).unwrap();
-            assert!(text.contains("grab"), "{file}: {text}");
+            assert!(text.contains(part), "{file}: {text}");
         }
         let page = fs::read_to_string(folder.path().join("man/mom.1")).unwrap();
         let notes = "\n.SH NOTES\nExamples:\n.nf\n  mom grab   one\n  mom grab   two\n.fi\nThe end.\n";

@@ -9,6 +9,7 @@ mod browser;
 mod calibrate;
 mod cameras;
 mod commands;
+mod completion;
 mod compression;
 mod console;
 mod contention;

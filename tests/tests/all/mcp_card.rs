@@ -12,7 +12,7 @@ use crate::mcp::{ROBOT, alice, give, person};
 
 /// A crane of which nothing here has heard: what it can do stands in its card only.
 #[derive(Debug, Default)]
-struct Crane {
+pub(crate) struct Crane {
     height: f64,
     told: Vec<f64>,
 }

@@ -46,7 +46,7 @@ pub(super) const ROOMS: &[(&str, &str)] = &[
     ),
     (
         "mom",
-        "commands doctor top cli devices connect global input output failure",
+        "commands doctor top complete cli devices connect global input output failure",
     ),
     (
         "mom-device",
