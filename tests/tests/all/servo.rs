@@ -115,6 +115,35 @@ async fn a_block_is_put_beside_another_and_the_token_returns() {
     assert!(off < 4.0 && (of("z") - 20.0).abs() < 1.0, "{off}: {blocks}");
 }
 
+/// How many commands of the servo the hub has received after the task was cancelled, as who listened to both has heard it.
+async fn sent_after_cancel(mut servo: Events, mut arm: Events) -> usize {
+    let (mut cancelled, mut is_over) = (None, false);
+    let hears = async {
+        while !is_over {
+            if let Some(Event::Message(parcel)) = servo.next().await {
+                let state = parcel.value();
+                let state = state.get("state").and_then(mom_client::Value::as_str);
+                is_over = state == Some("cancelled");
+                if parcel.name() == "cancel" {
+                    cancelled = parcel.received;
+                }
+            }
+        }
+    };
+    timeout(PATIENCE, hears).await.expect("it is cancelled");
+    let cancelled = cancelled.expect("the hub says when");
+    let mut late = 0;
+    while let Some(event) = arm.try_next() {
+        if let Event::Message(parcel) = event
+            && parcel.name() == "command"
+            && parcel.received > Some(cancelled)
+        {
+            late += 1;
+        }
+    }
+    late
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn ctrl_c_takes_the_token_back_and_nonsense_is_refused() {
     let (_lab, hub) = spawn_blocking(Running::lab).await.expect("it starts");
@@ -154,6 +183,26 @@ async fn ctrl_c_takes_the_token_back_and_nonsense_is_refused() {
     ]) {
         assert!(*code == Some(1) && words.contains(expected), "{code:?} {words}");
     }
+    assert_eq!(owner(&bob).await, None);
+}
+
+/// While it carries a block there are always a newer image and a command to send: who cancels is heard all the same.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_cancel_is_heard_while_images_and_commands_are_ready() {
+    let _turn = turn().lock().await;
+    let (_lab, hub) = spawn_blocking(Running::lab).await.expect("it starts");
+    let bob = join(&hub, "bob").await;
+    let servo_says = bob.channel("/servo").await.expect("people may").events();
+    let arm_hears = bob.channel("/robot/arm").await.expect("people may").events();
+    let running = servo(&hub, &["red", "green"]).await;
+    let (running, _) = report(running, "\"carrying\"").await;
+    running.signal("INT");
+    let (running, last) = report(running, "\"cancelled\"").await;
+    assert!(last["text"].to_string().contains("red is in the jaws"), "{last}");
+    let late = sent_after_cancel(servo_says, arm_hears).await;
+    // One was on its way to the hub.
+    assert!(late <= 1, "it has driven on by {late} commands");
+    assert_eq!(code(running).await, Some(1));
     assert_eq!(owner(&bob).await, None);
 }
 
