@@ -15,8 +15,8 @@ import { RawPeer } from "./rawpeer.mjs";
 import { listening, startRelay } from "./relay.mjs";
 
 const root = fileURLToPath(new URL("..", import.meta.url));
-const project = dirname(root);
-const mom = process.env.MOM_BIN ?? join(project, "target/debug/mom");
+export const project = dirname(root);
+export const mom = process.env.MOM_BIN ?? join(project, "target/debug/mom");
 const broker = join(dirname(mom), "mom-broker");
 const BROWSER = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run"];
 
