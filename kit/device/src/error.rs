@@ -335,6 +335,26 @@ mod tests {
     }
 
     #[test]
+    fn an_error_tells_all_that_was_said_of_it() {
+        let error = DeviceError::new(ErrorName::Obstacle, "a cat")
+            .at_statement(2)
+            .at_position(7)
+            .late_by(30);
+        assert_eq!((error.name(), error.code()), (ErrorName::Obstacle, 5110));
+        assert_eq!(error.text(), "statement 2: a cat");
+        assert_eq!(
+            (error.statement(), error.position(), error.late()),
+            (Some(2), Some(7), Some(30))
+        );
+        assert_eq!(
+            (error.nearest(), error.reachable(), error.place()),
+            (None, None, None)
+        );
+        assert!(!error.may_be_retried() && error.clone().with_retry().may_be_retried());
+        assert_eq!(error.in_words("a dog").text(), "a dog");
+    }
+
+    #[test]
     fn the_protocol_has_a_row_for_each() {
         let document = include_str!("../../../docs/PROTOCOL.md");
         let row = |line: &str| -> Option<(u16, String, bool)> {

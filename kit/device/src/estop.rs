@@ -86,3 +86,41 @@ impl Estop {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use mom_client::{Family, Parcel};
+
+    use super::*;
+
+    fn said(name: &str, sender: &str, id: u64) -> Event {
+        let mut parcel = Parcel::new(Family::Message, name);
+        (parcel.sender, parcel.id) = (Some(sender.into()), Some(id));
+        Event::Message(parcel)
+    }
+
+    #[test]
+    fn only_its_own_stop_for_this_press_is_its_number() {
+        let mut estop = Estop::new();
+        estop.look(Some(false));
+        assert_eq!(estop.look(Some(true)), Some("its emergency stop was pressed"));
+        estop.hear(&said(event::STOP, "arm", 4), Some("arm"));
+        assert!(estop.owed().is_some(), "nothing was said of it yet");
+        estop.said(Some(5));
+        for other in [
+            said(event::STOP, "alice", 5),
+            said(event::UNSTOP, "arm", 5),
+            said(event::STOP, "arm", 4),
+        ] {
+            estop.hear(&other, Some("arm"));
+            assert!(estop.owed().is_some(), "{other:?}");
+        }
+        estop.hear(&Event::LinkDown, Some("arm"));
+        assert_eq!(estop.to_say(), None);
+        estop.hear(&Event::Resumed, Some("arm"));
+        assert_eq!(estop.to_say(), Some("its emergency stop was pressed"));
+        estop.hear(&said(event::STOP, "arm", 5), Some("arm"));
+        assert_eq!(estop.owed(), None);
+        assert!(estop.is_pressed());
+    }
+}

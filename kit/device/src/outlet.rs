@@ -172,6 +172,36 @@ mod tests {
         }
     }
 
+    /// What the hub refuses is refused again.
+    #[tokio::test]
+    async fn what_was_refused_is_not_said_again() {
+        let attempts = Arc::new(Mutex::new(0));
+        let counted = Arc::clone(&attempts);
+        let mut outlet = Outlet::new(move |_: Parcel| -> Sending {
+            *counted.lock().unwrap() += 1;
+            Box::pin(async {
+                Err(ClientError::TimedOut {
+                    what: "it".to_owned(),
+                    after: Duration::from_secs(1),
+                })
+            })
+        });
+        outlet.push(&mut parcels(&["a", "b"]));
+        outlet.flush().await;
+        assert_eq!(*attempts.lock().unwrap(), 2);
+    }
+
+    #[test]
+    fn a_queue_without_an_end_loses_its_oldest() {
+        let (mut outlet, _) = outlet(&[]);
+        outlet.set_down(true);
+        assert!(outlet.is_down());
+        outlet.push(&mut parcels(&vec!["a"; MOST]));
+        assert_eq!(outlet.held.len(), MOST);
+        outlet.push(&mut parcels(&["b"]));
+        assert_eq!((outlet.held.len(), outlet.held[MOST - 1].name()), (MOST, "b"));
+    }
+
     #[tokio::test(start_paused = true)]
     async fn nothing_leaves_while_the_link_is_down() {
         let (mut outlet, sent) = outlet(&[]);

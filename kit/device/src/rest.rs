@@ -182,6 +182,15 @@ mod tests {
     }
 
     #[test]
+    fn a_whole_number_is_a_position_too_and_words_are_those_of_the_wire() {
+        let map = Map::new().with("x", 5);
+        assert_eq!(Sample::of(&map, 0), Some(Sample::new(vec![5.0], 0)));
+        assert_eq!(Sample::of(&Map::new().with("name", "a"), 0), None);
+        assert_eq!(AtRest::Measured.word(), "measured");
+        assert_eq!(AtRest::NotMeasured.word(), "not-measured");
+    }
+
+    #[test]
     fn what_rolls_does_not_rest_and_what_stands_rests_after_three_tenths_of_a_second() {
         let mut rest = Rest::new(1.0, STOPPING);
         rest.disturb(100_000);

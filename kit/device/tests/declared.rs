@@ -240,6 +240,19 @@ fn a_statement_is_told_with_its_values() {
 }
 
 #[test]
+fn the_ends_of_a_range_are_in_it() {
+    for (script, is_in) in [
+        ("go -2000", true),
+        ("go 2000", true),
+        ("go -2000.1", false),
+        ("go 2000.1", false),
+    ] {
+        let read = Script::read::<Declared<Cart<false>>>(script);
+        assert_eq!(read.is_ok(), is_in, "{script}: {read:?}");
+    }
+}
+
+#[test]
 fn what_cannot_go_on_ends_its_command_and_halts_the_device() {
     let mut stage = Stage::new(Declared::new(Kitchen::default()));
     stage.note(|kitchen| kitchen.device_mut().fails = true);

@@ -373,9 +373,76 @@ async fn its_program_ends_what_it_does_by_an_error_or_in_words() {
     own.beside(driver.hears("state", seven)).await;
     assert_eq!(own.peer.machine().device().turns, 7.0);
     assert!(own.peer.put_out().is_none() && !own.peer.is_down());
+    assert_eq!(own.peer.why_gone(), "its channel is gone");
     let owner = own.peer.gate().guard().and_then(|guard| guard.owner);
     assert_eq!(owner.as_deref(), Some(&*driver.client.name()));
+    own.beside(async {
+        driver.says(3, "turn 3").await;
+        driver.hears_status("executing").await;
+    })
+    .await;
     own.peer.end("that was all").await;
+    let ended = driver.hears_status("error").await;
+    assert!(format!("{ended:?}").contains("that was all"), "{ended:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn it_knows_why_it_was_put_out() {
+    let lab = Lab::start().await;
+    let (arm, carol) = (lab.user("arm").await, lab.user("carol").await);
+    let mut own = Own::start(&lab, &arm).await;
+    let minute = Some(Duration::from_secs(60));
+    // Who is beside it is put out without it.
+    let _bob = lab.user("bob").await.channel(CHANNEL).await.expect("he may");
+    carol
+        .expel(CHANNEL, "bob", "for another reason", minute)
+        .await
+        .expect("she may");
+    carol
+        .expel(CHANNEL, &arm.name(), "to try", minute)
+        .await
+        .expect("she may");
+    let out = timeout(PATIENCE, async { while own.peer.step().await {} }).await;
+    out.expect("its channel is gone");
+    assert_eq!(own.peer.put_out(), Some("to try"));
+    assert_eq!(own.peer.why_gone(), "it was expelled from its channel: to try");
+}
+
+/// Where its channel is missing, it is made with all above it, guarded by the token beside it; once more, nothing changes.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_device_makes_its_channel_where_that_is_missing() {
+    let mut config = Config::lab();
+    config.listen = vec![SocketAddr::from(([127, 0, 0, 1], 0)).into()];
+    config.root = Value::from("open");
+    config.contexts.clear();
+    let broker = Broker::start(config).await.expect("the configuration is right");
+    let lab = Lab {
+        broker,
+        told: Told::default(),
+    };
+    let arm = lab.user("arm").await;
+    for _ in 0..2 {
+        let (end, obeying) = lab.drum(&arm);
+        let mut driver = {
+            until(async || arm.card(CHANNEL).await.is_ok_and(|card| card.is_some())).await;
+            Driver::at(&lab).await
+        };
+        driver.says(1, "nudge 1").await;
+        driver.hears_status("finished").await;
+        // Nobody drives it without the token.
+        let bob = lab.user("bob").await.channel(CHANNEL).await.expect("all may");
+        let refused = bob
+            .message("command")
+            .content(Value::from("nudge 2"))
+            .send_acknowledged()
+            .await;
+        assert!(refused.is_err(), "{refused:?}");
+        drop(end);
+        obeying.await.expect("it does not panic").expect("it obeyed");
+        driver.guard.release().await.expect("it is hers");
+    }
+    let denied = mom_device::ensure_session(&lab.user("bob").await, "/robot").await;
+    denied.expect("it is there");
 }
 
 #[tokio::test(flavor = "multi_thread")]
