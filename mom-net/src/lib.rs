@@ -2,7 +2,8 @@
 //!
 //! A [`Transceiver`] is a connection in two halves, the same type at both ends: a [`Reader`] that gives
 //! frames and a [`Writer`] that takes parcels. It comes from [`connect`], [`accept`], which tells the wire
-//! forms apart by their first bytes, or [`pair`], which joins two ends inside one process without encoding.
+//! forms apart by their first bytes, or [`pair`], which joins two ends inside one process without encoding; [`line()`] does so as a network
+//! would, for simulations.
 //!
 //! ```
 //! # tokio::runtime::Builder::new_current_thread().build().unwrap().block_on(async {
@@ -23,6 +24,7 @@ mod dial;
 mod error;
 mod flow;
 mod http;
+mod line;
 mod link;
 mod local;
 mod options;
@@ -48,6 +50,7 @@ pub use compressed::COMPRESSION_MEMORY;
 pub use error::NetError;
 pub use flow::{Allowance, Flow, Pause};
 pub use http::HttpStream;
+pub use line::{LineShape, line};
 pub use link::{Privacy, TcpState};
 pub use local::pair;
 pub use outgoing::Outgoing;

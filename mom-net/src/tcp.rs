@@ -59,7 +59,7 @@ pub async fn connect(
 }
 
 /// A decoder for what a hub says.
-fn client_decoder(form: Form, limits: &Limits) -> Decoder {
+pub(crate) fn client_decoder(form: Form, limits: &Limits) -> Decoder {
     match form {
         Form::Binary | Form::Packed => Decoder::Binary(Box::new(BinaryDecoder::for_peer(limits))),
         form => Decoder::new(form, limits),
@@ -225,26 +225,44 @@ async fn start(
 
 /// Begins to speak a form on two halves; `buffer` = what has arrived.
 pub(crate) async fn begin(
-    (stream, sink): (ReadHalf, WriteHalf),
+    halves: (ReadHalf, WriteHalf),
     privacy: Privacy,
     form: Form,
     decoder: Decoder,
     buffer: BytesMut,
 ) -> Result<Transceiver, NetError> {
+    let peer = speaking(halves, privacy, form, decoder, buffer);
+    let mut first = first_bytes(form);
+    while peer.writer.try_write(&mut first)? == Progress::Blocked {
+        peer.writer.ready().await?;
+    }
+    Ok(peer)
+}
+
+/// What goes first in a form.
+pub(crate) fn first_bytes(form: Form) -> VecDeque<Outgoing> {
+    let preface = Encoded {
+        head: Bytes::from_static(&PREFACE),
+        body: Bytes::new(),
+    };
+    form.is_binary()
+        .then_some(Outgoing::Encoded(preface))
+        .into_iter()
+        .collect()
+}
+
+/// Two halves that speak a form, of which nothing is said yet.
+pub(crate) fn speaking(
+    (stream, sink): (ReadHalf, WriteHalf),
+    privacy: Privacy,
+    form: Form,
+    decoder: Decoder,
+    buffer: BytesMut,
+) -> Transceiver {
     let writer = Writer::new(Sink::Stream {
         stream: Stream::new(sink),
         form,
     });
-    if form.is_binary() {
-        let preface = Encoded {
-            head: Bytes::from_static(&PREFACE),
-            body: Bytes::new(),
-        };
-        let mut queue = VecDeque::from([Outgoing::Encoded(preface)]);
-        while writer.try_write(&mut queue)? == Progress::Blocked {
-            writer.ready().await?;
-        }
-    }
     let reader = Reader::new(Source::Stream {
         stream,
         buffer: ReadBuffer::new(buffer),
@@ -252,9 +270,9 @@ pub(crate) async fn begin(
         form,
         unpacker: None,
     });
-    Ok(Transceiver {
+    Transceiver {
         reader,
         writer,
         privacy,
-    })
+    }
 }

@@ -221,11 +221,16 @@ impl Broker {
     /// A connection from inside this process (M18). The peer still has to log in.
     pub fn connect_local(&self) -> Transceiver {
         let (here, there) = mom_net::pair();
+        self.serve(here);
+        there
+    }
+
+    /// Serves a peer inside this process by its connection, such as that of [`mom_net::line()`].
+    pub fn serve(&self, peer: Transceiver) {
         let services = self.services.fresh();
         let login_by = Instant::now() + login_time(&services.limits);
-        let mut serving = Serving::begin(services, here, Remote::default(), None, login_by);
+        let mut serving = Serving::begin(services, peer, Remote::default(), None, login_by);
         tokio::spawn(async move { serving.run().await });
-        there
     }
 
     /// What the hashing of passwords has come to.

@@ -45,6 +45,7 @@ struct ClockState {
 #[derive(Debug)]
 enum TimeSource {
     System(Instant),
+    Runtime(tokio::time::Instant),
     Manual(watch::Sender<Micros>),
 }
 
@@ -60,6 +61,11 @@ impl Clock {
     /// The system's time from now on.
     pub fn system() -> Clock {
         Clock::new(system_time(), TimeSource::System(Instant::now()))
+    }
+
+    /// The time of the runtime that this is called on, from this wall time on: virtual where that is paused, for simulations.
+    pub fn of_runtime(anchor: Time) -> Clock {
+        Clock::new(anchor, TimeSource::Runtime(tokio::time::Instant::now()))
     }
 
     /// A clock that stays at this wall time until it is advanced.
@@ -86,9 +92,9 @@ impl Clock {
         }
     }
 
-    /// Sets the wall clock of a manual clock forth or back by so many µs; monotonic time goes on as it was.
+    /// Sets the wall clock forth or back by so many µs, unless it is the system's; monotonic time goes on as it was.
     pub fn step(&self, by: i64) {
-        if let TimeSource::Manual(_) = &self.shared.source {
+        if !matches!(self.shared.source, TimeSource::System(_)) {
             self.shared
                 .ahead
                 .send_modify(|ahead| *ahead = ahead.saturating_add(by));
@@ -99,6 +105,7 @@ impl Clock {
     pub fn now(&self) -> Micros {
         match &self.shared.source {
             TimeSource::System(start) => micros(start.elapsed()),
+            TimeSource::Runtime(start) => micros(start.elapsed()),
             TimeSource::Manual(now) => *now.borrow(),
         }
     }
@@ -112,7 +119,7 @@ impl Clock {
     pub fn civil(&self) -> Time {
         match &self.shared.source {
             TimeSource::System(_) => system_time(),
-            TimeSource::Manual(_) => plus(self.wall(), *self.shared.ahead.borrow()),
+            TimeSource::Runtime(_) | TimeSource::Manual(_) => plus(self.wall(), *self.shared.ahead.borrow()),
         }
     }
 
@@ -187,6 +194,7 @@ impl Clock {
                 let at = *start + Duration::from_micros(at);
                 tokio::time::sleep_until(at.into()).await;
             }
+            TimeSource::Runtime(start) => tokio::time::sleep_until(*start + Duration::from_micros(at)).await,
             TimeSource::Manual(now) => {
                 // The sender lives as long as this clock, so the wait ends only with the time.
                 let _ = now.subscribe().wait_for(|now| *now >= at).await;

@@ -7,6 +7,7 @@ use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 
 use mom_net::{Address, ClientTls, Identity, TlsError, Transceiver, Trust};
+use mom_proto::codec::Form;
 use mom_proto::{Code, Time, WireError};
 use parking_lot::Mutex;
 
@@ -64,7 +65,7 @@ pub struct Builder {
 /// Where a hub is.
 enum HubPlace {
     Address(Address),
-    Here(Local),
+    Here(Local, Option<Form>),
 }
 
 impl Builder {
@@ -77,8 +78,11 @@ impl Builder {
         )
     }
 
-    pub(crate) fn local(connect: impl Fn() -> Transceiver + Send + Sync + 'static) -> Builder {
-        Builder::new(Ok(HubPlace::Here(Arc::new(connect))))
+    pub(crate) fn local(
+        connect: impl Fn() -> Transceiver + Send + Sync + 'static,
+        form: Option<Form>,
+    ) -> Builder {
+        Builder::new(Ok(HubPlace::Here(Arc::new(connect), form)))
     }
 
     fn new(hub: Result<HubPlace, ClientError>) -> Builder {
@@ -315,7 +319,7 @@ impl Builder {
                 let doors = doors(&address, &mut self.credentials, self.trust)?;
                 Connector::Remote(doors)
             }
-            HubPlace::Here(local) => Connector::Local(local),
+            HubPlace::Here(local, form) => Connector::Local(local, form),
         };
         let ids = AtomicU64::new(1);
         let patience = self.reconnect.as_ref().filter(|_| self.waits);

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use mom_net::Transceiver;
+use mom_proto::codec::Form;
 use mom_proto::{Card, ContextKind, Family, Map, Parcel, Path, Thinning, Value, to_value};
 use tokio::sync::watch;
 use tokio::time::timeout;
@@ -72,7 +73,12 @@ impl Client {
 
     /// A client of a hub in this process; `connect` gives one more connection to it.
     pub fn builder_local(connect: impl Fn() -> Transceiver + Send + Sync + 'static) -> Builder {
-        Builder::local(connect)
+        Builder::local(connect, None)
+    }
+
+    /// A client of a hub in this process by lines that carry bytes in this form ([`mom_net::line()`]), for simulations.
+    pub fn builder_line(form: Form, connect: impl Fn() -> Transceiver + Send + Sync + 'static) -> Builder {
+        Builder::local(connect, Some(form))
     }
 
     /// The peer's name at the hub. It may be another one after a reconnect.

@@ -23,7 +23,8 @@ pub(crate) type Local = Arc<dyn Fn() -> Transceiver + Send + Sync>;
 #[derive(Clone)]
 pub(crate) enum Connector {
     Remote(Doors),
-    Local(Local),
+    /// In this process, in a form where it carries bytes.
+    Local(Local, Option<Form>),
 }
 
 /// A link on which this peer is logged in.
@@ -38,14 +39,14 @@ impl Connector {
     pub(crate) fn address(&self) -> Option<Address> {
         match self {
             Connector::Remote(doors) => Some(doors.current().clone()),
-            Connector::Local(_) => None,
+            Connector::Local(..) => None,
         }
     }
 
     pub(crate) fn form(&self) -> Option<Form> {
         match self {
             Connector::Remote(doors) => Some(doors.current().form),
-            Connector::Local(_) => None,
+            Connector::Local(_, form) => *form,
         }
     }
 
@@ -61,7 +62,7 @@ impl Connector {
         let login = async {
             let doors = match self {
                 Connector::Remote(doors) => doors,
-                Connector::Local(connect) => return log_in(connect(), credentials, ids).await,
+                Connector::Local(connect, _) => return log_in(connect(), credentials, ids).await,
             };
             through(doors, |opened| log_in(opened, credentials, ids)).await
         };

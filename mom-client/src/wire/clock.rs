@@ -3,10 +3,11 @@
 use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use mom_proto::{ClockOffset, Exchange, Family, Map, OffsetEstimator, Parcel, Time, event};
 use parking_lot::Mutex;
+use tokio::time::Instant;
 
 /// Exchanges right after the login, one after the other; later one per heartbeat.
 const QUICK: usize = 4;

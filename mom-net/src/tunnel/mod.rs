@@ -11,7 +11,7 @@ mod server;
 pub use body::TunnelBody;
 pub(crate) use client::connect;
 pub use client::{ask, post};
-pub(crate) use pipe::Pipe;
+pub(crate) use pipe::{Misplaced, Pipe, WINDOW};
 pub use server::{Tunnel, Tunnels};
 
 use http::HeaderName;

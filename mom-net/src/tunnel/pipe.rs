@@ -11,7 +11,7 @@ use parking_lot::Mutex;
 use tokio::sync::Notify;
 
 /// Bytes on their way out that the other end may not have yet: nothing urgent can overtake them.
-pub(super) const WINDOW: usize = 64 * 1024;
+pub(crate) const WINDOW: usize = 64 * 1024;
 
 /// Bytes that may have come and not been read.
 pub(super) const UNREAD: usize = 512 * 1024;
@@ -51,7 +51,7 @@ struct State {
 
 /// Bytes that do not follow on those that are here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Misplaced {
+pub(crate) enum Misplaced {
     /// Some before them are missing; so many are here.
     Gap(u64),
     /// More has come than is read.
@@ -132,7 +132,7 @@ impl Pipe {
 
     /// Takes bytes from the other end that begin at this place in its stream; those that are here already are skipped. Gives
     /// how many have come in all.
-    pub(super) fn take_in(&self, at: u64, bytes: &[u8]) -> Result<u64, Misplaced> {
+    pub(crate) fn take_in(&self, at: u64, bytes: &[u8]) -> Result<u64, Misplaced> {
         let mut state = self.state.lock();
         if state.broken.is_some() {
             return Err(Misplaced::Over);
@@ -155,7 +155,7 @@ impl Pipe {
     }
 
     /// Notes that nothing more comes.
-    pub(super) fn took_all(&self) {
+    pub(crate) fn took_all(&self) {
         let mut state = self.state.lock();
         state.arrived_all = true;
         state.wake();
@@ -169,7 +169,7 @@ impl Pipe {
     }
 
     /// Notes that the tunnel cannot go on.
-    pub(super) fn break_off(&self, why: &str) {
+    pub(crate) fn break_off(&self, why: &str) {
         let mut state = self.state.lock();
         state.broken.get_or_insert_with(|| why.to_owned());
         state.wake();
@@ -196,7 +196,7 @@ impl Pipe {
     }
 
     /// Waits until the reader has dealt with all that has come.
-    pub(super) async fn settle(&self) {
+    pub(crate) async fn settle(&self) {
         self.until(&self.settled, |state| {
             let over = state.arrived_all || state.broken.is_some() || state.finished;
             (over || (state.hungry && state.arrived.is_empty())).then_some(())
@@ -221,7 +221,7 @@ impl Pipe {
     }
 
     /// The other end has all bytes before this place, which are kept no longer; false if there is no such place.
-    pub(super) fn acknowledge(&self, to: u64) -> bool {
+    pub(crate) fn acknowledge(&self, to: u64) -> bool {
         let mut state = self.state.lock();
         let Some(more) = to.checked_sub(state.kept_from) else {
             // Said before, and overtaken.
@@ -242,7 +242,7 @@ impl Pipe {
     }
 
     /// Bytes from this place on, `most` at most, once there are any; none at the end, and where the place is gone.
-    pub(super) async fn bytes_from(&self, from: u64, most: usize) -> Option<Bytes> {
+    pub(crate) async fn bytes_from(&self, from: u64, most: usize) -> Option<Bytes> {
         self.until(&self.sendable, |state| {
             let Some(skipped) = from.checked_sub(state.kept_from) else {
                 return Some(None);

@@ -41,7 +41,7 @@ pub(super) const ROOMS: &[(&str, &str)] = &[
     ),
     (
         "mom-net",
-        "tcp local transceiver queue flow part reader writer compressed socket websocket tunnel dial http carrier tls turn \
+        "line tcp local transceiver queue flow part reader writer compressed socket websocket tunnel dial http carrier tls turn \
          options proxy takes outgoing address spare secret_id link error",
     ),
     (
@@ -104,7 +104,7 @@ pub(super) const ROOMS: &[(&str, &str)] = &[
     ),
     (
         "xtask",
-        "advisories ci experiments instructions long mutants peers measuring needs shuttle test clients console javascript npm \
+        "advisories ci experiments instructions long mutants peers measuring needs shuttle simulate test clients console javascript npm \
          counts verdict tidy command node",
     ),
 ];
