@@ -27,6 +27,7 @@ mod node;
 mod npm;
 mod peers;
 mod shuttle;
+mod simulate;
 mod test;
 mod tidy;
 mod verdict;
@@ -52,6 +53,7 @@ const EXAMPLES: &str = "Examples:
   cargo xtask test -- -p mom-hub grab         the tests of one package whose name contains `grab`
   cargo xtask test -- -p mom-hub -- --nocapture
   cargo xtask shuttle --orders 20000 --seed 7 the broker's threads in more orders, and in other ones
+  cargo xtask simulate --minutes 10           hub, devices and operators on a bad network, in virtual time
   cargo xtask long --minutes 30               more random logs and load than CI has time for
   cargo xtask mutants --package mom-hub       whether the hub's own tests notice faults; takes an hour
   cargo xtask tidy                            the checks that the compiler does not make
@@ -77,6 +79,12 @@ enum Task {
     Test(TestArgs),
     /// Try the broker's threads in many orders of their steps.
     Shuttle(ShuttleArgs),
+    /// Let worlds of a hub, devices and operators live in virtual time, seed after seed. See `--help` of what it runs: `-- --help`.
+    Simulate {
+        /// Its options, such as `--minutes 10 --seed 7`.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        options: Vec<String>,
+    },
     /// Random logs by the thousand, then minutes of random load beside a canary.
     Long {
         /// How long the load lasts.
@@ -245,6 +253,7 @@ fn run(task: Task) -> Result<ExitCode> {
             Ok(exit_code(counts.is_success()))
         }
         Task::Shuttle(args) => Ok(exit_code(shuttle::run(&root, args.orders, args.seed)?)),
+        Task::Simulate { options } => Ok(exit_code(simulate::run(&root, &options)?)),
         Task::Long { minutes } => Ok(exit_code(long::run(&root, minutes)?)),
         Task::Mutants(args) => {
             needs::ensure(needs::FOR_MUTANTS, args.install.install, "cargo xtask mutants")?;

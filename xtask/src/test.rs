@@ -111,6 +111,7 @@ impl Part {
                 "json_golden",
                 "json_refused",
                 "layouts",
+                "lives",
                 "marker",
                 "mime_refused",
                 "models",

@@ -96,7 +96,7 @@ impl Log {
                     by, device, command, ..
                 } => (at, by, device, command).hash(&mut hasher),
                 Fact::Granted { by, device, .. } | Fact::Lost { by, device, .. } => {
-                    (at, by, device).hash(&mut hasher)
+                    (at, by, device).hash(&mut hasher);
                 }
                 Fact::StopObeyed { by, device, .. } | Fact::UnstopAsked { by, device, .. } => {
                     (at, by, device).hash(&mut hasher);

@@ -71,7 +71,7 @@ impl Operator {
             if self.is_healed.load(Ordering::Relaxed) {
                 return self.finish().await;
             }
-            sleep(Duration::from_millis(self.random.u64(50..1500))).await;
+            sleep(Duration::from_millis(self.random.u64(50..1500))).await; // tidy: its time is virtual, and it has a person's pace
         }
     }
 
@@ -95,7 +95,7 @@ impl Operator {
         })
     }
 
-    /// Has the token for some commands, and gives it back, to somebody else, or not at all.
+    /// Has the token for some commands, and gives it back, or forgets it.
     async fn drive(&mut self, device: usize) -> Result<(), ClientError> {
         let mut reached = self.reach(device).await?;
         let wait = Duration::from_millis(self.random.u64(..8000));
@@ -106,7 +106,7 @@ impl Operator {
                 break;
             }
             self.send(&mut reached, &guard).await?;
-            sleep(Duration::from_millis(self.random.u64(..1200))).await;
+            sleep(Duration::from_millis(self.random.u64(..1200))).await; // tidy: as above
         }
         let fence = guard.fence();
         let released = match self.random.u32(..10) {
@@ -207,7 +207,7 @@ impl Operator {
                 loop {
                     match self.drive_to_end(device).await {
                         Ok(()) => return,
-                        Err(_) => sleep(Duration::from_millis(self.random.u64(200..900))).await,
+                        Err(_) => sleep(Duration::from_millis(self.random.u64(200..900))).await, // tidy: as above
                     }
                 }
             });

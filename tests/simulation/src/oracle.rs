@@ -98,10 +98,10 @@ fn stops_hold(facts: &[(Instant, Fact)]) -> Vec<String> {
     let mut lifted: BTreeMap<usize, u64> = BTreeMap::new();
     for (at, fact) in facts {
         match fact {
-            Fact::StopObeyed { device, number, .. } => {
-                if lifted.get(device).is_none_or(|lifted| lifted < number) {
-                    held.insert(*device, (*number, false, false));
-                }
+            Fact::StopObeyed { device, number, .. }
+                if lifted.get(device).is_none_or(|lifted| lifted < number) =>
+            {
+                held.insert(*device, (*number, false, false));
             }
             Fact::UnstopAsked { device, number, .. } => {
                 let highest = lifted.entry(*device).or_default();

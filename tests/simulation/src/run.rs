@@ -194,16 +194,16 @@ impl Life {
             let mut random = fastrand::Rng::with_seed(seed);
             loop {
                 let Ok(client) = connect().await else {
-                    sleep(Duration::from_secs(1)).await;
+                    sleep(Duration::from_secs(1)).await; // tidy: its time is virtual, and who restarts it waits
                     continue;
                 };
                 if host < devices {
                     let cart = Cart::new(host, &log);
-                    // Whoever has started it starts it again.
+                    // Its service starts it again.
                     let ended =
                         mom_device::obey(&client, &channel_of(host), cart, std::future::pending()).await;
                     log.note(Fact::Fault(format!("d{host} ended: {ended:?}")));
-                    sleep(Duration::from_secs(1)).await;
+                    sleep(Duration::from_secs(1)).await; // tidy: its time is virtual, and who restarts it waits
                 } else {
                     let operator = Operator {
                         name: name_of(host, devices),

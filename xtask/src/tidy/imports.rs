@@ -223,6 +223,7 @@ const ARROWS: &[(&str, May)] = &[
     ("mom-nearest", May::Use(&[])),
     ("mom-program", May::Use(&["mom-client", "mom-pages"])),
     ("mom-tests", May::UseAll),
+    ("mom-simulation", May::UseAll),
     ("mom-cases", May::Use(&[])),
     ("xtask", May::Use(&[])),
 ];
