@@ -131,6 +131,7 @@ impl Hire<'_> {
             agent: &agent,
             events,
             last: None,
+            gone: None,
             tell,
         };
         loan.follow(given, interrupt).await
@@ -208,6 +209,8 @@ struct Loan<'a, 'b> {
     events: Events,
     /// The newest report.
     last: Option<Report>,
+    /// Why nothing more is heard of the agent.
+    gone: Option<String>,
     tell: Tell<'b>,
 }
 
@@ -242,10 +245,15 @@ impl Loan<'_, '_> {
             return both(Err(VerbFailure::plain(text)), release(returned.await.ok()).await);
         }
         let end = loop {
+            let overdue = self.overdue();
             tokio::select! {
                 biased;
-                event = self.events.next() => self.note(&event.ok_or_else(closed)?)?,
+                event = self.events.next() => match event {
+                    Some(event) => self.note(&event)?,
+                    None => return Err(self.unheard()),
+                },
                 end = &mut returned => break end,
+                () = reached(overdue) => return Err(self.not_back()),
                 () = &mut interrupt, if interrupted.is_none() => {
                     interrupted = Some(Instant::now());
                     unanswered = Box::pin(cancel(agent));
@@ -305,6 +313,15 @@ impl Loan<'_, '_> {
             self.last = Some(report);
         }
         match event {
+            Event::Expelled { peer, by, path, .. } if *peer == self.client.name() => {
+                let by = by.as_deref().unwrap_or("a peer");
+                self.gone = Some(format!("{by} has put you out of {path}"));
+                Ok(())
+            }
+            Event::Deleted { path } => {
+                self.gone = Some(format!("{path} was deleted"));
+                Ok(())
+            }
             Event::LinkDown => Err(VerbFailure::plain(format!(
                 "the connection to the hub is lost, and the agent loses the token with it: the hub halts {}; {}",
                 self.hire.robot,
@@ -324,6 +341,31 @@ impl Loan<'_, '_> {
             self.note(&event)?;
         }
         Ok(())
+    }
+
+    /// That nothing more is heard of the agent, which hears that its task's peer is gone.
+    fn unheard(&self) -> VerbFailure {
+        match &self.gone {
+            Some(gone) => VerbFailure::plain(format!(
+                "{gone}: the agent ends its task as it does when you leave; {}",
+                self.whereabouts()
+            )),
+            None => closed(),
+        }
+    }
+
+    /// When the token has to be back: some time after the agent's last word.
+    fn overdue(&self) -> Option<Instant> {
+        let last = self.last.as_ref().filter(|report| report.is_last());
+        last.map(|report| report.at + LAST)
+    }
+
+    /// That the agent has ended and the token has not come back.
+    fn not_back(&self) -> VerbFailure {
+        VerbFailure::new(
+            format!("{}; {} has not come back", self.whereabouts(), self.hire.token),
+            format!("mom token {} says who has it", self.hire.token),
+        )
     }
 
     /// That the agent does not answer to its end, and has the token still.
@@ -415,8 +457,12 @@ impl Loan<'_, '_> {
 
 /// Too long after an interrupt.
 async fn silence(interrupted: Option<Instant>) {
-    match interrupted {
-        Some(at) => tokio::time::sleep_until(at + CANCELLED).await,
+    reached(interrupted.map(|at| at + CANCELLED)).await;
+}
+
+async fn reached(at: Option<Instant>) {
+    match at {
+        Some(at) => tokio::time::sleep_until(at).await,
         None => std::future::pending().await,
     }
 }

@@ -3,12 +3,12 @@
 use mom_proto::event as names;
 use mom_proto::{Family, HUB, Map, Parcel, Path, WireError};
 
-use crate::Event;
 use crate::peer::pending::AnswerTo;
 use crate::peer::shared::Shared;
 use crate::peer::state::State;
 use crate::wire::trace;
 use crate::words::{map_of, number, text};
+use crate::{Event, Lost};
 
 /// The message by which a device says how a command goes: `peer` and `id` of the command, `state`.
 const STATUS: &str = "status";
@@ -143,12 +143,15 @@ impl Shared {
                     .flatten()
                     .collect();
                 state.subscribers.deliver(&paths, Event::from_parcel(parcel));
+                state.handovers.lose_within(&path, &Lost::new("deleted", None));
                 state.places.remove_within(&path);
                 state.subscribers.close_within(&path);
             }
             names::EXPELLED if state.is_me(&parcel) => {
                 let paths = std::slice::from_ref(&path);
+                let by = text(&map_of(&parcel), "by").map(str::to_owned);
                 state.subscribers.deliver(paths, Event::from_parcel(parcel));
+                state.handovers.lose_within(&path, &Lost::new("expelled", by));
                 state.places.remove_within(&path);
                 state.subscribers.close_within(&path);
             }

@@ -190,6 +190,16 @@ impl Handovers {
         }
     }
 
+    /// The same for the tokens within a path: who is not there any more hears nothing of them.
+    pub(crate) fn lose_within(&mut self, top: &Path, lost: &Lost) {
+        let (within, others) = std::mem::take(&mut self.entries)
+            .into_iter()
+            .partition(|entry| entry.handover.path.is_within(top));
+        self.entries = within;
+        self.lose_all(lost);
+        self.entries = others;
+    }
+
     /// Applies an event to each offer of a token; gives the one whose token has returned.
     fn turn(
         &mut self,

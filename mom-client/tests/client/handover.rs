@@ -58,6 +58,25 @@ fn lost(reason: &str, by: Option<&str>) -> Lost {
     }
 }
 
+/// Who is put out of a token's place hears nothing more of it, so nobody there waits for its return.
+#[tokio::test]
+async fn who_is_put_out_does_not_get_back_what_it_has_lent() {
+    for path in [TOKEN, "/robot"] {
+        let (client, token, mut peer) = token().await;
+        let guard = grab(&token, &mut peer, 7, 180_000).await;
+        let mut given = offer(&guard, &mut peer, true).await;
+        taken(&mut peer).await;
+        given.accepted().await.unwrap();
+        let expelled = Map::new().with("peer", client.name()).with("by", "carol");
+        peer.event("expelled", path, expelled).await;
+        assert_eq!(
+            given.returned().await.unwrap_err(),
+            lost("expelled", Some("carol")),
+            "{path}"
+        );
+    }
+}
+
 #[tokio::test]
 async fn an_offer_says_to_whom_and_for_what() {
     let (_client, token, mut peer) = token().await;

@@ -4,6 +4,7 @@ mod holder;
 
 use std::time::{Duration, Instant};
 
+use mom_agent::Hire;
 use mom_client::{Channel, Client, Event, Events, Given, Map, Parcel, Token, TokenGuard, Value};
 use mom_tests::faulty::{Fault, FaultyNetwork};
 use mom_tests::programs::{PATIENCE, Running, project};
@@ -460,4 +461,62 @@ async fn deaf_work_in_python_keeps_no_token() {
 #[tokio::test(flavor = "multi_thread")]
 async fn deaf_work_in_javascript_keeps_no_token() {
     deaf(Kit::JavaScript).await;
+}
+
+/// Who hires an agent and is put out of where the token is hears an end, and why.
+#[tokio::test(flavor = "multi_thread")]
+async fn who_hires_and_is_put_out_of_the_token_is_told() {
+    put_out_of(TOKEN, "lost /robot/token: expelled by carol").await;
+}
+
+/// The same where it is put out of where the agent is.
+#[tokio::test(flavor = "multi_thread")]
+async fn who_hires_and_is_put_out_of_the_agents_channel_is_told() {
+    let words = "carol has put you out of /servo: the agent ends its task as it does when you leave";
+    put_out_of("/servo", words).await;
+}
+
+async fn put_out_of(path: &str, expected: &str) {
+    let (hub, _agent) = hired(Kit::Rust).await;
+    let (alice, carol) = (
+        join(&hub.address, "alice").await,
+        join(&hub.address, "carol").await,
+    );
+    let bob = join(&hub.address, "bob").await;
+    let (_his, mut events) = meet(&bob).await;
+    let mut tell = |_: serde_json::Value, _: String| Ok(());
+    let hire = Hire {
+        channel: "/servo",
+        user: Some("servo"),
+        absent: "start it",
+        verb: "hold",
+        task: what("on"),
+        words: "hold".to_owned(),
+        token: TOKEN,
+        wait: Some(PATIENCE),
+        time: Duration::from_secs(60),
+        commands: None,
+        robot: "/robot/arm",
+        untouched: "nothing is done".to_owned(),
+        line: |_| String::new(),
+    };
+    let hiring = hire.carry_out(&alice, std::future::pending(), &mut tell);
+    let putting_out = async {
+        while word(&said(&mut events, "progress").await, "state") != "working" {}
+        let second = Some(Duration::from_secs(1));
+        carol
+            .expel(path, &alice.name(), "", second)
+            .await
+            .expect("she may");
+    };
+    let (hired, ()) = tokio::join!(timeout(PATIENCE, hiring), putting_out);
+    let failure = hired
+        .expect("it ends")
+        .expect_err("it came to nothing")
+        .to_string();
+    assert!(failure.starts_with(expected), "{failure}");
+    alice.close().await;
+    // The agent has ended it too, and is free for another one.
+    let goes_on = |report: &Parcel| matches!(&*word(report, "state"), "working" | "ending");
+    while goes_on(&said(&mut events, "progress").await) {}
 }
