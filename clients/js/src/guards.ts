@@ -1,4 +1,5 @@
 // The tokens that this peer owns: their leases, and why they ended.
+import { Offers } from "./offers.js";
 import { isWithin } from "./places.js";
 import { type Fields, int, text } from "./value.js";
 
@@ -83,6 +84,7 @@ export class Hold {
 export class Guards {
   readonly #owned = new Map<string, Hold>();
   readonly #shared = new Map<string, Hold>();
+  readonly offers = new Offers();
 
   constructor(readonly renew: (hold: Hold) => void) {}
 
@@ -143,5 +145,6 @@ export class Guards {
         hold.lose(lost);
       }
     }
+    this.offers.endWithin(top);
   }
 }

@@ -250,6 +250,42 @@ test("a token is given, returns, is asked for and handed over", async () => {
   await part.release();
 });
 
+test("who has lent a token is told where it does not come back", async () => {
+  const alice = await open(ws(), as("alice"));
+  const bob = await open(ws(), as("bob"));
+  const carol = await open(ws(), as("carol"));
+  const [hers, his, boss] = [await alice.token("/robot/token"), await bob.token("/robot/token"), await carol.token("/robot/token")];
+  const bobHears = his.events();
+  const lend = async (accepts) => {
+    const guard = await hers.grab();
+    const given = await guard.give("bob", { for: 60_000 });
+    await until(bobHears, (event) => event.type === "offer");
+    if (accepts) await his.accept();
+    return { guard, given };
+  };
+  // One that was declined stays, and a later grab is not taken for its return.
+  const declined = await lend(false);
+  await his.decline();
+  assert.equal(await declined.given.returned(), null);
+  await declined.guard.release();
+  const again = await hers.grab();
+  await alice.info("/robot/token");
+  assert.equal(again.hold.is, null, "it was let go as one that nobody waits for");
+  await again.release();
+  const preempted = await lend(true);
+  const taken = await boss.grab();
+  assert.equal(await preempted.given.returned(), null);
+  await taken.release();
+  const broken = await lend(true);
+  await boss.breakHold();
+  assert.equal(await broken.given.returned(), null);
+  const expelled = await lend(true);
+  const back = expelled.given.returned();
+  await carol.expel("/robot/token", "alice", { for: 1 });
+  assert.equal(await back, null);
+  await carol.request({ family: "token", name: "break", context: "/robot/token" });
+});
+
 test("a peer that manages a context is asked", async () => {
   const carol = await open(ws(), as("carol"));
   const bob = await open(ws(), as("bob"));

@@ -138,6 +138,28 @@ async def test_giving_for_a_while_and_back(broker: Broker) -> None:
             await back.give("nobody")
 
 
+async def test_who_has_lent_it_is_told_where_it_does_not_come_back(broker: Broker) -> None:
+    async with broker.connect("alice") as alice, broker.connect("bob") as bob, broker.connect("carol") as carol:
+        hers, his, boss = await alice.token(TOKEN), await bob.token(TOKEN), await carol.token(TOKEN)
+        events = his.events()
+
+        async def lend() -> mom.Given:
+            given = await (await hers.grab()).give(bob.name, time=60)
+            await heard(events, mom.Offer)
+            await his.accept()
+            return given
+
+        given = await lend()
+        async with boss.grab():
+            assert await asyncio.wait_for(given.back(), PATIENCE) is None, "preempted"
+        given = await lend()
+        await boss.break_hold()
+        assert await asyncio.wait_for(given.back(), PATIENCE) is None, "broken"
+        given = await lend()
+        await carol.expel(TOKEN, alice.name, time=0.001)
+        assert await asyncio.wait_for(given.back(), PATIENCE) is None, "put out of it"
+
+
 async def test_asking_the_owner(broker: Broker) -> None:
     async with broker.connect("alice") as alice, broker.connect("bob") as bob:
         mine, theirs = await alice.token(TOKEN), await bob.token(TOKEN)

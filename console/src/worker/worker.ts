@@ -120,7 +120,7 @@ export function serve(port: { postMessage: (word: unknown, transfer: Transferabl
     declineRequest: async (path, peer, text) => (await session.client.token(path)).declineRequest(peer, text),
     give: async (path, to, options) => {
       const given = await session.owned(path).give(to, options);
-      if (options.for !== undefined || options.commands !== undefined) void given.returned().then((guard) => session.own(guard));
+      if (options.for !== undefined || options.commands !== undefined) void given.returned().then((guard) => guard && session.own(guard));
     },
     release: (path) => session.owned(path).release(),
     breakHold: async (path) => (await session.client.token(path)).breakHold(),

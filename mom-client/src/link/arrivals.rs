@@ -151,7 +151,7 @@ impl Shared {
                 let paths = std::slice::from_ref(&path);
                 let by = text(&map_of(&parcel), "by").map(str::to_owned);
                 state.subscribers.deliver(paths, Event::from_parcel(parcel));
-                state.handovers.lose_within(&path, &Lost::new("expelled", by));
+                state.handovers.lose_within(&path, &Lost::new("revoked", by));
                 state.places.remove_within(&path);
                 state.subscribers.close_within(&path);
             }

@@ -71,7 +71,7 @@ async fn who_is_put_out_does_not_get_back_what_it_has_lent() {
         peer.event("expelled", path, expelled).await;
         assert_eq!(
             given.returned().await.unwrap_err(),
-            lost("expelled", Some("carol")),
+            lost("revoked", Some("carol")),
             "{path}"
         );
     }

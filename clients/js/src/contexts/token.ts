@@ -1,6 +1,7 @@
 import type { Client } from "./client.js";
 import { asyncDispose } from "../disposal.js";
 import { MomError } from "../error.js";
+import type { Event } from "../events.js";
 import type { Hold, Loan, Lost } from "../guards.js";
 import type { Parcel } from "../parcel.js";
 import { Joined } from "./session.js";
@@ -179,16 +180,14 @@ export class TokenGuard extends Guard {
    * tell what becomes of the offer. Where it returns by itself, {@link Given.returned} gives the next guard.
    */
   async give(to: string, options: GiveOptions = {}): Promise<Given> {
-    const { peer } = this.client;
-    const given = new Given(this.client, this);
-    if (options.for !== undefined || options.commands !== undefined) {
-      peer.onGrabbed.set(this.path, (grant) => given.back(grant, this.hold));
-    }
+    const { offers } = this.client.peer.guards;
+    const given = new Given(this.client, this, to, options.for !== undefined || options.commands !== undefined);
+    // The other may answer before the hub's own answer is taken here.
+    offers.add(given);
     try {
       await this.client.ask("token", "give", this.path, { to, ...options });
     } catch (error) {
-      // A later grant to this peer is none that returns.
-      peer.onGrabbed.delete(this.path);
+      offers.end(given);
       throw error;
     }
     return given;
@@ -225,33 +224,68 @@ export class TokenGuard extends Guard {
   }
 }
 
+/** Ends of the other's ownership behind which the token does not come back; behind all others it does. */
+const FOR_GOOD = new Set(["preempted", "broken", "deleted"]);
+
 /** A token that was offered to another peer. */
 export class Given {
+  #stage: "offered" | "leaving" | "lent" | "over" = "offered";
+  /** Of this peer's ownership, then of the other's. */
+  #fence: number;
   #back: TokenGuard | null = null;
-  #wanted = false;
-  #resolve: (guard: TokenGuard) => void = () => undefined;
+  #wanted: ((guard: TokenGuard | null) => void) | null = null;
 
   /** @internal */
   constructor(
     private readonly client: Client,
     readonly guard: TokenGuard,
-  ) {}
-
-  /** @internal Takes a later grant to this peer; what nobody waits for is released. */
-  back(grant: Fields, earlier: Hold): boolean {
-    if (typeof grant["fence"] !== "number" || grant["fence"] <= earlier.fence) return false;
-    const back = new TokenGuard(this.client, this.client.peer.guards.granted(this.guard.path, grant));
-    this.#back = back;
-    if (this.#wanted) this.#resolve(back);
-    else void back.release().catch(() => undefined);
-    return true;
+    private readonly to: string,
+    private readonly isLoan: boolean,
+  ) {
+    this.#fence = guard.fence;
   }
 
-  /** Waits until the token has returned. One that returns while nobody waits is released. */
-  returned(): Promise<TokenGuard> {
-    this.#wanted = true;
-    if (this.#back) return Promise.resolve(this.#back);
-    return new Promise((resolve) => (this.#resolve = resolve));
+  get path(): string {
+    return this.guard.path;
+  }
+
+  /** @internal */
+  heard(event: Event, parcel: Parcel): boolean {
+    const me = this.client.peer.me?.peer;
+    if (event.type === "lapsed") {
+      if (this.#stage === "offered" && event.what === "offer" && event.by === me && event.to === this.to) this.end();
+    } else if (event.type === "released" && event.fence === this.#fence) {
+      if (this.#stage === "offered" && event.reason === "given") this.#stage = "leaving";
+      else if (this.#stage === "offered" || FOR_GOOD.has(event.reason)) this.end();
+    } else if (event.type === "grabbed" && event.fence > this.#fence) {
+      if (this.#stage === "leaving" && event.owner === this.to && this.isLoan) [this.#stage, this.#fence] = ["lent", event.fence];
+      else if (this.#stage === "lent" && event.owner === me) this.#comesBack(fieldsOf(parcel.content));
+      else this.end();
+    }
+    return this.#stage === "over";
+  }
+
+  /** @internal */
+  end(): void {
+    this.#stage = "over";
+    this.#wanted?.(null);
+  }
+
+  /** What nobody waits for is released. */
+  #comesBack(grant: Fields): void {
+    this.#stage = "over";
+    this.#back = new TokenGuard(this.client, this.client.peer.guards.granted(this.path, grant));
+    if (this.#wanted) this.#wanted(this.#back);
+    else void this.#back.release().catch(() => undefined);
+  }
+
+  /**
+   * Waits until the token has returned, or `null` if it does not: it was not taken, was given for good, another peer has it, or this one hears
+   * of it no more. One that returns while nobody waits is released.
+   */
+  returned(): Promise<TokenGuard | null> {
+    if (this.#stage === "over") return Promise.resolve(this.#back);
+    return new Promise((resolve) => (this.#wanted = resolve));
   }
 }
 

@@ -39,7 +39,6 @@ export class Peer {
   /** Hear of each state of the link: nothing must move without one. */
   readonly devices = new Set<{ link(state: LinkState): void }>();
   readonly onQueued = new Map<string, (place: number, expected: number | undefined) => void>();
-  readonly onGrabbed = new Map<string, (grant: Fields) => boolean>();
   readonly outbox = new Outbox((entry, reason) => this.#dropped(entry, reason));
   readonly connector: Connector;
   readonly #mover = new Mover(this);
@@ -370,6 +369,7 @@ export class Peer {
     const path = parcel.context ?? "/";
     const place = this.places.get(path);
     place?.latch.observe(event);
+    this.guards.offers.heard(path, event, parcel);
     switch (event.type) {
       case "message":
         if (event.name === "status") this.#status(event);
@@ -380,7 +380,7 @@ export class Peer {
       case "released":
       case "inhibited":
       case "uninhibited":
-        return this.#tokenEvent(event, parcel);
+        return this.#tokenEvent(event);
       case "queued":
         this.onQueued.get(path)?.(event.place, event.expected);
         break;
@@ -403,12 +403,10 @@ export class Peer {
     if (ended && fields["peer"] === this.me?.peer) this.guards.ended(int(fields, "id"));
   }
 
-  #tokenEvent(event: Event & { path: string }, parcel: Parcel): void {
+  #tokenEvent(event: Event & { path: string }): void {
     const channels = this.places.guardedBy(event.path);
-    const grant = fieldsOf(parcel.content);
     if (event.type === "grabbed") {
       for (const { guard } of channels) if (guard && event.fence > guard.fence) [guard.fence, guard.owner] = [event.fence, event.owner];
-      if (event.owner === this.me?.peer && this.onGrabbed.get(event.path)?.(grant)) this.onGrabbed.delete(event.path);
     } else if (event.type === "released") {
       for (const { guard } of channels) if (guard && event.fence >= guard.fence) delete guard.owner;
       if (event.owner === this.me?.peer) this.guards.released(event.path, event.fence, { reason: event.reason, ...(event.by === undefined ? {} : { by: event.by }) });

@@ -466,7 +466,7 @@ async fn deaf_work_in_javascript_keeps_no_token() {
 /// Who hires an agent and is put out of where the token is hears an end, and why.
 #[tokio::test(flavor = "multi_thread")]
 async fn who_hires_and_is_put_out_of_the_token_is_told() {
-    put_out_of(TOKEN, "lost /robot/token: expelled by carol").await;
+    put_out_of(TOKEN, "lost /robot/token: you may no longer be here").await;
 }
 
 /// The same where it is put out of where the agent is.
