@@ -75,9 +75,11 @@ fn complete(names: Names, word: &OsStr) -> Vec<CompletionCandidate> {
         return Vec::new();
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-    let Some((runtime, global)) = runtime.ok().zip(GlobalArgs::from_arg_matches(&line).ok()) else {
+    let Some((runtime, mut global)) = runtime.ok().zip(GlobalArgs::from_arg_matches(&line).ok()) else {
         return Vec::new();
     };
+    // Nothing has failed that anybody was told of.
+    global.report = false;
     // It would ask for the password in the middle of the line.
     let asks = global.key.is_none()
         && global.jwt.is_none()

@@ -17,8 +17,9 @@ pub use times::{duration, duration_within};
 /// The first of the two arguments that ask for them. It is not an option of the programs, because it is for packagers only.
 pub const ASK: &str = "--write-pages";
 
-/// The variable by which a shell asks a program what may come next on its command line, with its own name.
-pub const COMPLETE: &str = "COMPLETE";
+/// The variable by which a shell asks a program what may come next on its command line, with the shell's name. Not the library's own,
+/// `COMPLETE`: a service that inherits a variable of so common a name would complete a line instead of running.
+pub const COMPLETE: &str = "MOM_COMPLETE";
 
 /// Answers a shell that asks for completions, or writes the pages of a program that was started with [`ASK`] and a folder after its name;
 /// none = it was asked for something else.
@@ -96,9 +97,9 @@ mod tests {
         for (file, part) in [
             ("man/mom.1", "grab"),
             ("man/mom-grab.1", "grab"),
-            ("bash/mom", "COMPLETE=\"bash\""),
-            ("zsh/_mom", "COMPLETE=\"zsh\""),
-            ("fish/mom.fish", "COMPLETE=fish"),
+            ("bash/mom", "MOM_COMPLETE=\"bash\""),
+            ("zsh/_mom", "MOM_COMPLETE=\"zsh\""),
+            ("fish/mom.fish", "MOM_COMPLETE=fish"),
         ] {
             let text = fs::read_to_string(folder.path().join(file)).unwrap();
             assert!(text.contains(part), "{file}: {text}");

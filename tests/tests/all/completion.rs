@@ -4,15 +4,15 @@ use mom_tests::lab;
 use mom_tests::programs::{program, text};
 use tokio::process::Command;
 
-use crate::mcp::{ROBOT, person};
-use crate::mcp_card::Crane;
+use crate::mcp::ROBOT;
+use crate::mcp_card::Working;
 
 /// What bash is offered for the last of these words.
 async fn offered(hub: &str, password: Option<&str>, words: &[&str]) -> Vec<String> {
     let mut mom = Command::new(program("mom"));
     mom.args(["--", "mom"])
         .args(words)
-        .env("COMPLETE", "bash")
+        .env("MOM_COMPLETE", "bash")
         .env("_CLAP_IFS", "\n")
         .env("_CLAP_COMPLETE_INDEX", words.len().to_string())
         .env("MOM_HUB", hub)
@@ -31,19 +31,7 @@ async fn offered(hub: &str, password: Option<&str>, words: &[&str]) -> Vec<Strin
 async fn a_shell_is_offered_contexts_and_the_statements_of_the_device() {
     let broker = lab::start().await;
     let hub = format!("bin://{}", broker.local_addr());
-    let client = person(&hub, "arm").await;
-    let (end, ended) = tokio::sync::oneshot::channel::<()>();
-    let crane = {
-        let client = client.clone();
-        tokio::spawn(async move {
-            let until = async { drop(ended.await) };
-            mom_device::obey(&client, ROBOT, Crane::default(), until).await
-        })
-    };
-    let alice = person(&hub, "alice").await;
-    while alice.card(ROBOT).await.expect("she may look").is_none() {
-        tokio::task::yield_now().await;
-    }
+    let crane = Working::start(&hub).await;
     for (words, expected) in [
         (&["grab", "/robot/"] as &[&str], &["/robot/token"] as &[&str]),
         (&["run", "--channel", "/robot/a"], &["/robot/arm"]),
@@ -69,9 +57,6 @@ async fn a_shell_is_offered_contexts_and_the_statements_of_the_device() {
         offered("bin://127.0.0.1:1", Some("alice"), &named).await,
         ["/robot/token"]
     );
-    drop(end);
-    crane.await.expect("it ends").expect("it obeyed");
-    client.close().await;
-    alice.close().await;
+    crane.end().await;
     broker.stop().await;
 }

@@ -2,17 +2,19 @@
 
 use std::time::Duration;
 
-use mom_client::{Card, CardArg, CardVerb, Map, Value};
+use mom_client::{Card, CardArg, CardVerb, Client, ClientError, Map, Value};
 use mom_device::{Call, Device, DeviceError};
 use mom_tests::assistant::Assistant;
 use mom_tests::lab;
 use serde_json::json;
+use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
 
 use crate::mcp::{ROBOT, alice, give, person};
 
 /// A crane of which nothing here has heard: what it can do stands in its card only.
 #[derive(Debug, Default)]
-pub(crate) struct Crane {
+struct Crane {
     height: f64,
     told: Vec<f64>,
 }
@@ -59,24 +61,43 @@ impl Device for Crane {
     }
 }
 
+/// A crane at work in place of the lab's arm.
+pub(crate) struct Working {
+    client: Client,
+    end: oneshot::Sender<()>,
+    obeying: JoinHandle<Result<(), ClientError>>,
+}
+
+impl Working {
+    /// Comes when its card is there.
+    pub(crate) async fn start(hub: &str) -> Working {
+        let client = person(hub, "arm").await;
+        let (end, ended) = oneshot::channel::<()>();
+        let arm = client.clone();
+        let obeying = tokio::spawn(async move {
+            let until = async { drop(ended.await) };
+            mom_device::obey(&arm, ROBOT, Crane::default(), until).await
+        });
+        while client.card(ROBOT).await.expect("it may look").is_none() {
+            tokio::task::yield_now().await;
+        }
+        Working { client, end, obeying }
+    }
+
+    pub(crate) async fn end(self) {
+        drop(self.end);
+        self.obeying.await.expect("it ends").expect("it obeyed");
+        self.client.close().await;
+    }
+}
+
 /// Whatever is a device is driven by its card: its statements are told, and checked before anything is sent.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_device_that_nothing_has_heard_of_is_driven_by_its_card() {
     let broker = lab::start().await;
     let hub = format!("bin://{}", broker.local_addr());
-    let client = person(&hub, "arm").await;
-    let (end, ended) = tokio::sync::oneshot::channel::<()>();
-    let crane = {
-        let client = client.clone();
-        tokio::spawn(async move {
-            let until = async { drop(ended.await) };
-            mom_device::obey(&client, ROBOT, Crane::default(), until).await
-        })
-    };
-    let (alice, _token, guard) = alice(&hub).await;
-    while alice.card(ROBOT).await.expect("she may look").is_none() {
-        tokio::task::yield_now().await;
-    }
+    let crane = Working::start(&hub).await;
+    let (_alice, _token, guard) = alice(&hub).await;
     let mut assistant = tokio::task::spawn_blocking({
         let hub = hub.clone();
         move || Assistant::at(&hub)
@@ -124,8 +145,6 @@ async fn a_device_that_nothing_has_heard_of_is_driven_by_its_card() {
     })
     .await
     .expect("it drives");
-    drop(end);
-    crane.await.expect("it ends").expect("it obeyed");
-    client.close().await;
+    crane.end().await;
     broker.stop().await;
 }
