@@ -1,15 +1,16 @@
 //! `cargo xtask long`: what takes too long for each change: the broker's threads in many orders, the measurements' own
 //! tests, properties with new seeds, random logs by the thousand, minutes of random load, a thousand lost connections
 //! on each door, minutes of large messages that wait between short heartbeats, minutes of a thousand robots, a million
-//! packets of a mirrored one, and two thousand trials of the motion oracle.
+//! packets of a mirrored one, two thousand trials of the motion oracle, and lives in virtual time.
 
 use std::path::Path;
 use std::process::Command;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Result;
 
 use crate::command::{cargo, line, shows};
-use crate::{measuring, shuttle};
+use crate::{measuring, shuttle, simulate};
 
 /// Packets of each direction: a million of both.
 const MILLION_OF_BOTH: &str = "500000";
@@ -23,6 +24,10 @@ const SHORTEST_BEAT: &str = "100";
 /// Builds and runs them one after the other; whether all went well.
 pub(crate) fn run(root: &Path, minutes: u64) -> Result<bool> {
     let mut ok = shuttle::run(root, None, None)? & measuring::run(root, false)?;
+    // Other lives each time.
+    let seed = SystemTime::now().duration_since(UNIX_EPOCH)?.as_secs();
+    let simulated = ["--minutes", &minutes.to_string(), "--seed", &seed.to_string()].map(str::to_owned);
+    ok &= simulate::run(root, &simulated)?;
     for mut step in steps(root, minutes) {
         println!("$ {}", line(&step));
         ok &= shows(&mut step)?;
